@@ -1,0 +1,82 @@
+//! One file per command: reads arguments, composes the rooms, prints.
+//!
+//! stdout is data; everything else goes to stderr. Exit codes: 0 done; 1 finished but not within tolerance; 2 error.
+
+// Printing is this room's work.
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+mod terminal;
+
+mod capture;
+mod demo;
+mod fabric;
+mod fit;
+mod measure;
+mod render;
+mod report;
+mod scatter;
+mod sim;
+mod simulate;
+
+use crate::base::Result;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// How a command that did not fail ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Outcome {
+    /// Exit code 0.
+    Done,
+    /// Exit code 1: finished, but not within tolerance (not converged, saturated frames).
+    OutsideTolerance,
+}
+
+/// From a gonioreflectometer's plan to fiber scattering parameters: move the rig, measure the frames, fit, report.
+#[derive(Parser)]
+#[command(name = "goniofit", version, propagate_version = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(demo::Arguments),
+    Simulate(simulate::Arguments),
+    Sim(sim::Arguments),
+    Capture(capture::Arguments),
+    Measure(measure::Arguments),
+    Fit(fit::Arguments),
+    Render(render::Arguments),
+    Scatter(scatter::Arguments),
+    Fabric(fabric::Arguments),
+    Report(report::Arguments),
+}
+
+/// Runs the program on the process's arguments.
+pub fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match run(arguments.command) {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::OutsideTolerance) => ExitCode::from(1),
+        Err(error) => {
+            eprintln!("error: {}", error.report());
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn run(command: Command) -> Result<Outcome> {
+    match command {
+        Command::Demo(a) => demo::run(a),
+        Command::Simulate(a) => simulate::run(a),
+        Command::Sim(a) => sim::run(a),
+        Command::Capture(a) => capture::run(a),
+        Command::Measure(a) => measure::run(a),
+        Command::Fit(a) => fit::run(a),
+        Command::Render(a) => render::run(a),
+        Command::Scatter(a) => scatter::run(a),
+        Command::Fabric(a) => fabric::run(a),
+        Command::Report(a) => report::run(a),
+    }
+}

@@ -1,0 +1,10 @@
+//! Directions and frames, lobes and special functions, random streams, statistics.
+//!
+//! Pure numbers: knows neither cloth nor files. Angles are radians, everything is `f64`.
+
+pub mod direction;
+pub mod random;
+pub mod statistics;
+
+pub use direction::{Frame, PolarDirection};
+pub use random::Random;

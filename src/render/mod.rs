@@ -1,0 +1,96 @@
+//! Scenes, acceleration structure, paths, parameter derivatives.
+//!
+//! Knows neither files nor fitting. A [`Scene`] is anything that can estimate the mean normalized radiance of a list of
+//! configurations, with standard errors and derivatives by parameter name.
+
+use crate::base::{Result, Watch};
+use crate::scatter::{Model, Parameters};
+use crate::session::Configuration;
+
+/// How much work an estimate may cost.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Effort {
+    /// Camera paths for each configuration.
+    Paths(u64),
+    /// Camera paths in all, shared out in proportion to `shares` (one per configuration, positive).
+    Total {
+        /// Camera paths summed over configurations.
+        paths: u64,
+        /// Relative number of paths per configuration.
+        shares: Vec<f64>,
+    },
+    /// As many paths as make the weighted rms standard error of all numbers (weights of Khungurn 2015 eq. 20,
+    /// tau = 0.02) this small a fraction.
+    Accuracy(f64),
+}
+
+/// What is to be estimated.
+#[derive(Debug, Clone)]
+pub struct Request<'a> {
+    /// The poses.
+    pub configurations: &'a [Configuration],
+    /// The model's parameter values.
+    pub parameters: &'a Parameters,
+    /// How much work.
+    pub effort: Effort,
+    /// The user's seed.
+    pub seed: u64,
+    /// Which of the independent streams of this seed: two requests that differ here share no random number.
+    pub stream: u64,
+}
+
+/// The estimate for one configuration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// The configuration's id.
+    pub config: u32,
+    /// Mean normalized radiance over the sample square, per channel.
+    pub mean: [f64; 3],
+    /// Standard error of each mean, from batch means.
+    pub standard_error: [f64; 3],
+    /// `derivative[row][channel]`, rows in the model's parameter order (angles per radian).
+    pub derivative: Vec<[f64; 3]>,
+    /// Standard error of each derivative, from batch means.
+    pub derivative_se: Vec<[f64; 3]>,
+    /// Camera paths used.
+    pub paths: u64,
+}
+
+/// Estimates of all configurations of a request, in its order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimates {
+    /// One per configuration.
+    pub configurations: Vec<Estimate>,
+    /// CPU time of all threads, seconds.
+    pub cpu_s: f64,
+    /// Elapsed time, seconds.
+    pub wall_s: f64,
+}
+
+/// Anything that estimates means and derivatives.
+pub trait Scene: Sync {
+    /// The model whose parameters it takes.
+    fn model(&self) -> &'static dyn Model;
+
+    /// Unbiased estimates of the request's means and derivatives; the same request gives the same numbers on any number
+    /// of threads.
+    ///
+    /// # Errors
+    /// When the parameters have no meaning for the model, the work is zero, or `watch` cancels before every
+    /// configuration has an estimate.
+    fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates>;
+}
+
+/// The weight of a configuration with channel means `mean` (Khungurn 2015 eq. 20): `1 / max(mean over channels, tau)^2`.
+pub fn relative_error_weight(mean: [f64; 3], tau: f64) -> f64 {
+    let brightness = (mean[0] + mean[1] + mean[2]) / 3.0;
+    1.0 / brightness.max(tau).powi(2)
+}
+
+/// The weighted rms of 3 numbers per configuration: `sqrt(sum_i w_i sum_c e_ic^2 / (3 n))`, a relative error.
+pub fn weighted_rms(rows: impl Iterator<Item = (f64, [f64; 3])>) -> f64 {
+    let (sum, n) = rows.fold((0.0, 0.0), |(sum, n), (w, e)| {
+        (sum + w * e.iter().map(|e| e * e).sum::<f64>(), n + 3.0)
+    });
+    (sum / n).sqrt()
+}

@@ -1,0 +1,44 @@
+//! Axes, light, camera over real protocols, or a replay; the one loop that moves anything.
+//!
+//! Knows neither models nor renders: a virtual camera gets its picture from outside, as a trait object.
+
+use crate::base::Result;
+use crate::session::{CameraFacts, Configuration, FrameKind};
+
+/// One shot the capture loop asks a camera for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shot {
+    /// What is in front of the camera.
+    pub kind: FrameKind,
+    /// The plan's configuration for a sample shot; none for darks and whites.
+    pub config: Option<u32>,
+    /// Where light, camera and turntable stand.
+    pub pose: Configuration,
+    /// Requested exposure time, milliseconds.
+    pub exposure_ms: f64,
+    /// 0 for the first shot of this kind, configuration and exposure.
+    pub repeat: u32,
+}
+
+/// What a camera hands back: a file, exactly as it would lie on its card.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CapturedFrame {
+    /// The file's bytes.
+    pub bytes: Vec<u8>,
+    /// Its extension, e.g. `dng`.
+    pub extension: String,
+    /// Exposure time the camera reports, milliseconds.
+    pub exposure_ms: f64,
+}
+
+/// A camera.
+pub trait Camera {
+    /// What must be known to read its frames.
+    fn facts(&self) -> CameraFacts;
+
+    /// Takes one shot.
+    ///
+    /// # Errors
+    /// When the camera is gone, refuses the exposure, or returns no whole frame.
+    fn expose(&mut self, shot: &Shot) -> Result<CapturedFrame>;
+}

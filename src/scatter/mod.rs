@@ -1,0 +1,89 @@
+//! One file per scattering model, one contract for all.
+//!
+//! Knows neither fibers' geometry nor sessions. A *model* names its parameters, bounds, units and defaults; given
+//! values it becomes a [`Scattering`], which is what a renderer evaluates and samples. All directions are unit vectors
+//! in the fiber frame (x along the fiber) and point away from the fiber; `wi` toward the light, `wo` toward the
+//! camera. Models need not be reciprocal, so the order matters.
+
+mod parameters;
+
+pub use parameters::{ParameterInfo, Parameters, Unit};
+
+use crate::base::{Error, Result};
+use crate::math::Random;
+use glam::DVec3;
+
+/// The number of color channels everywhere.
+pub const CHANNELS: usize = 3;
+
+/// Upper limit on [`Model::parameters`]'s length, so that hot loops can use arrays.
+pub const MAX_ROWS: usize = 8;
+
+/// Value of a scattering function and its derivatives at one pair of directions.
+#[derive(Debug, Clone, Copy)]
+pub struct Evaluation {
+    /// Scattering function per channel, 1/sr; no cosine inside.
+    pub value: [f64; CHANNELS],
+    /// `derivative[row][channel]`: by the model's parameter `row` ([`Model::parameters`] order; angles per radian).
+    /// For a per-channel parameter it is by that channel's own value. Rows past the model's length are zero.
+    pub derivative: [[f64; CHANNELS]; MAX_ROWS],
+    /// Density per solid angle with which [`Scattering::sample`] would have chosen `wi`, 1/sr.
+    pub pdf: f64,
+}
+
+/// A sampled direction toward the light.
+#[derive(Debug, Clone, Copy)]
+pub struct Sampled {
+    /// The sampled direction (unit, fiber frame).
+    pub wi: DVec3,
+    /// `S(wi, wo) cos(theta_i) / pdf` per channel. May exceed 1.
+    pub weight: [f64; CHANNELS],
+    /// Value, derivatives and density at (`wi`, `wo`).
+    pub evaluation: Evaluation,
+}
+
+/// A scattering function at fixed parameters.
+pub trait Scattering: Send + Sync {
+    /// Scattering function, derivatives and sampling density.
+    fn evaluate(&self, wi: DVec3, wo: DVec3) -> Evaluation;
+
+    /// Draws `wi` given `wo`, in proportion to roughly `S cos(theta_i)`. `None` when no light can come back.
+    fn sample(&self, wo: DVec3, random: &mut Random) -> Option<Sampled>;
+}
+
+/// A scattering model: a named list of parameters, and what they make.
+pub trait Model: Send + Sync {
+    /// The name used on the command line and in files, e.g. `khungurn`.
+    fn name(&self) -> &'static str;
+
+    /// The parameters in the order of [`Evaluation::derivative`]'s rows; at most [`MAX_ROWS`].
+    fn parameters(&self) -> &'static [ParameterInfo];
+
+    /// The scattering function at `parameters`.
+    ///
+    /// # Errors
+    /// When a value is missing, not finite, or where the model has no meaning (width zero, color below zero). Values
+    /// outside the published box but meaningful are accepted.
+    fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>>;
+}
+
+/// All models, in the order `--help` lists them.
+pub fn models() -> &'static [&'static dyn Model] {
+    &[]
+}
+
+/// The model with this name.
+///
+/// # Errors
+/// When there is none; the hint lists those that exist.
+pub fn model(name: &str) -> Result<&'static dyn Model> {
+    models()
+        .iter()
+        .copied()
+        .find(|m| m.name() == name)
+        .ok_or_else(|| {
+            let known: Vec<_> = models().iter().map(|m| m.name()).collect();
+            Error::new(format!("unknown model '{name}'"))
+                .with_hint(format!("known models: {}", known.join(", ")))
+        })
+}

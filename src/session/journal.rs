@@ -1,0 +1,285 @@
+//! The journal: one fsynced line per event, append-only; a torn last line is what a crash leaves and is tolerated.
+
+use super::plan::ConfigurationRow;
+use super::{Configuration, files};
+use crate::base::{Context, Error, Result};
+use serde::{Deserialize, Serialize};
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+/// What a frame shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FrameKind {
+    /// The sample, light on.
+    Sample,
+    /// The sample's place, light off: electronics and stray light at this exposure.
+    Dark,
+    /// The white standard at the session's reference geometry, light on.
+    White,
+}
+
+/// One finished shot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    /// File name inside `frames/`.
+    pub file: String,
+    /// What it shows.
+    pub kind: FrameKind,
+    /// The plan's configuration for a sample frame; none for darks and whites.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub config: Option<u32>,
+    /// Exposure time read back from the camera, milliseconds.
+    pub exposure_ms: f64,
+    /// 0 for the first shot of this kind, configuration and exposure, 1 for its first repeat, ...
+    #[serde(default)]
+    pub repeat: u32,
+    /// Axis positions read back at the shot, degrees, by axis name.
+    #[serde(default)]
+    pub axes_deg: std::collections::BTreeMap<String, f64>,
+    /// SHA-256 of the file's bytes, hexadecimal.
+    pub sha256: String,
+}
+
+/// Something that happened in a capture session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    /// The rig is connected, checked and homed.
+    Ready {
+        /// Firmware's own description.
+        firmware: String,
+    },
+    /// A frame is on disk.
+    Frame(FrameRecord),
+    /// All shots of the plan are on disk.
+    Finished,
+    /// The capture ended early.
+    Stopped {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// One line of the journal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// 0, 1, 2, ... without gaps.
+    pub sequence: u64,
+    /// Seconds since the capture started, monotonic.
+    pub elapsed_s: f64,
+    /// What happened.
+    #[serde(flatten)]
+    pub event: Event,
+}
+
+/// An open journal; the only way to add to one.
+#[derive(Debug)]
+pub struct Journal {
+    file: File,
+    path: PathBuf,
+    next: u64,
+}
+
+impl Journal {
+    /// Starts the journal of a new session.
+    ///
+    /// # Errors
+    /// When the file exists already or cannot be created.
+    pub fn create(path: &Path) -> Result<Self> {
+        let file = OpenOptions::new()
+            .append(true)
+            .create_new(true)
+            .open(path)
+            .context(|| format!("journal {} cannot be created", path.display()))?;
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            next: 0,
+        })
+    }
+
+    /// Opens the journal of an interrupted session for more events, cutting off a torn last line.
+    ///
+    /// # Errors
+    /// When it cannot be opened or a line other than the last is damaged.
+    pub fn reopen(path: &Path) -> Result<Self> {
+        let what = || format!("journal {} cannot be opened", path.display());
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(path)
+            .context(what)?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).context(what)?;
+        let (entries, whole) = parse(&bytes).context(|| format!("journal {}", path.display()))?;
+        file.set_len(whole as u64).context(what)?;
+        file.seek(std::io::SeekFrom::End(0)).context(what)?;
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            next: entries.len() as u64,
+        })
+    }
+
+    /// Appends one event and waits until it is on the disk.
+    ///
+    /// # Errors
+    /// When the disk refuses (full, unplugged); the event is then not part of the session.
+    pub fn append(&mut self, elapsed_s: f64, event: Event) -> Result<()> {
+        let what = || format!("journal {} cannot be written", self.path.display());
+        let mut line = serde_json::to_vec(&Entry {
+            sequence: self.next,
+            elapsed_s,
+            event,
+        })
+        .context(what)?;
+        line.push(b'\n');
+        self.file
+            .write_all(&line)
+            .and_then(|()| self.file.sync_data())
+            .context(what)?;
+        self.next += 1;
+        Ok(())
+    }
+}
+
+/// Reads a journal; a torn last line (no newline at its end) is left out.
+///
+/// # Errors
+/// When the file cannot be read, a whole line is not an entry, or sequence numbers have a gap.
+pub fn read_journal(path: &Path) -> Result<Vec<Entry>> {
+    let bytes =
+        std::fs::read(path).context(|| format!("journal {} cannot be read", path.display()))?;
+    Ok(parse(&bytes)
+        .context(|| format!("journal {}", path.display()))?
+        .0)
+}
+
+/// The entries, and how many bytes the whole lines take.
+fn parse(bytes: &[u8]) -> Result<(Vec<Entry>, usize)> {
+    let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |i| i + 1);
+    let mut entries = Vec::new();
+    for (i, line) in bytes[..whole]
+        .split(|&b| b == b'\n')
+        .filter(|l| !l.is_empty())
+        .enumerate()
+    {
+        let entry: Entry = serde_json::from_slice(line).context(|| format!("line {} is damaged", i + 1)).map_err(|e| {
+            e.with_hint("only a torn last line is tolerated; restore the file from a copy, or capture again into a new folder")
+        })?;
+        if entry.sequence != i as u64 {
+            return Err(Error::new(format!(
+                "line {}: sequence {} where {i} was expected",
+                i + 1,
+                entry.sequence
+            ))
+            .with_hint("lines were removed or doubled; restore the file from a copy"));
+        }
+        entries.push(entry);
+    }
+    Ok((entries, whole))
+}
+
+/// The pose a frame was taken at, as files write it.
+impl Serialize for Configuration {
+    fn serialize<S: serde::Serializer>(
+        &self,
+        serializer: S,
+    ) -> std::result::Result<S::Ok, S::Error> {
+        ConfigurationRow::from(*self).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Configuration {
+    fn deserialize<D: serde::Deserializer<'de>>(
+        deserializer: D,
+    ) -> std::result::Result<Self, D::Error> {
+        ConfigurationRow::deserialize(deserializer)?
+            .checked()
+            .map_err(|e| serde::de::Error::custom(e.report()))
+    }
+}
+
+/// Writes the bytes of a frame and returns its hash; see [`files::write_new`].
+pub(super) fn store_frame(path: &Path, bytes: &[u8]) -> Result<String> {
+    use sha2::Digest;
+    files::write_new(path, bytes)?;
+    Ok(sha2::Sha256::digest(bytes)
+        .iter()
+        .map(|b| format!("{b:02x}"))
+        .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(n: u32) -> Event {
+        Event::Frame(FrameRecord {
+            file: format!("{n}.dng"),
+            kind: FrameKind::Sample,
+            config: Some(n),
+            exposure_ms: 10.0,
+            repeat: 0,
+            axes_deg: [("light_elevation".to_owned(), 32.0)].into(),
+            sha256: "00".to_owned(),
+        })
+    }
+
+    #[test]
+    fn a_journal_cut_at_any_byte_keeps_every_whole_line_and_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal.jsonl");
+        let mut journal = Journal::create(&path).unwrap();
+        for n in 0..3 {
+            journal.append(f64::from(n), frame(n)).unwrap();
+        }
+        let bytes = std::fs::read(&path).unwrap();
+        for cut in 0..=bytes.len() {
+            std::fs::write(&path, &bytes[..cut]).unwrap();
+            let lines = bytes[..cut].iter().filter(|&&b| b == b'\n').count();
+            assert_eq!(read_journal(&path).unwrap().len(), lines, "cut at {cut}");
+            let mut again = Journal::reopen(&path).unwrap();
+            again.append(9.0, Event::Finished).unwrap();
+            let entries = read_journal(&path).unwrap();
+            assert_eq!(entries.len(), lines + 1);
+            assert_eq!(entries[lines].event, Event::Finished);
+        }
+    }
+
+    #[test]
+    fn a_damaged_line_in_the_middle_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal.jsonl");
+        let mut journal = Journal::create(&path).unwrap();
+        for n in 0..3 {
+            journal.append(f64::from(n), frame(n)).unwrap();
+        }
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.replacen("\"sequence\":1", "\"sequence\":x", 1)).unwrap();
+        let message = read_journal(&path).unwrap_err().report();
+        assert!(
+            message.contains("line 2 is damaged") && message.contains("hint:"),
+            "{message}"
+        );
+        let skipped: Vec<&str> = text
+            .lines()
+            .enumerate()
+            .filter(|(i, _)| *i != 1)
+            .map(|(_, l)| l)
+            .collect();
+        std::fs::write(&path, skipped.join("\n") + "\n").unwrap();
+        assert!(
+            read_journal(&path)
+                .unwrap_err()
+                .report()
+                .contains("sequence 2 where 1 was expected")
+        );
+        assert!(
+            Journal::create(&path).is_err(),
+            "an existing journal is never started over"
+        );
+    }
+}

@@ -1,0 +1,220 @@
+//! The session folder and its manifest.
+
+use super::journal::{self, Event, FrameKind, FrameRecord, Journal};
+use super::{Configuration, Plan, files};
+use crate::base::{Context, Error, Result};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// What must be known about the camera to read its frames.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CameraFacts {
+    /// Maker and model, as in the frames.
+    pub name: String,
+    /// Visible width, pixels.
+    pub width: usize,
+    /// Visible height, pixels.
+    pub height: usize,
+    /// Millimeters on a plane through the sample center, perpendicular to the view, per pixel.
+    pub pixel_mm: f64,
+    /// Image point (x right, y down, pixels; integer = pixel corner) the sample center projects to.
+    pub center_px: [f64; 2],
+}
+
+/// How the white standard was shot: `E_normal = pi L_white / (reflectance_factor cos(theta_light))`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhiteReference {
+    /// The reference geometry; its id is not one of the plan's.
+    pub configuration: Configuration,
+    /// The standard's reflectance factor at that geometry, r, g, b (1 = perfect diffuser).
+    pub reflectance_factor: [f64; 3],
+    /// Its standard error, r, g, b.
+    pub reflectance_factor_se: [f64; 3],
+}
+
+/// What a session is: written once, before the first frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Always `goniofit-session-1`.
+    pub format: String,
+    /// Program version that wrote it.
+    pub program: String,
+    /// UTC start time, RFC 3339.
+    pub started_utc: String,
+    /// Free text by the operator.
+    pub note: String,
+    /// True when no camera saw any cloth: frames come from a virtual camera. Every page and table repeats it.
+    pub synthetic: bool,
+    /// Name of the rig description (a copy is in `rig.toml`).
+    pub rig: String,
+    /// The camera.
+    pub camera: CameraFacts,
+    /// The white standard.
+    pub white: WhiteReference,
+    /// Side of the measured square on the sample, centered, millimeters.
+    pub sample_square_mm: f64,
+    /// Exposure times of the bracket, milliseconds, ascending.
+    pub exposures_ms: Vec<f64>,
+}
+
+impl Manifest {
+    /// The value of [`Manifest::format`].
+    pub const FORMAT: &'static str = "goniofit-session-1";
+}
+
+/// A session on disk.
+#[derive(Debug, Clone)]
+pub struct SessionFolder {
+    root: PathBuf,
+}
+
+impl SessionFolder {
+    /// Lays out a new session: folder, manifest, plan, rig description; returns it with its empty journal.
+    ///
+    /// # Errors
+    /// When the folder already holds a session (nothing is overwritten), or the disk refuses.
+    pub fn create(
+        root: &Path,
+        manifest: &Manifest,
+        plan: &Plan,
+        rig_toml: &str,
+    ) -> Result<(Self, Journal)> {
+        if root.join("session.json").exists() {
+            return Err(
+                Error::new(format!("{} already holds a session", root.display()))
+                    .with_hint("a session is never overwritten; choose another folder"),
+            );
+        }
+        std::fs::create_dir_all(root.join("frames"))
+            .context(|| format!("{} cannot be created", root.display()))?;
+        let session = Self {
+            root: root.to_owned(),
+        };
+        files::write_atomic(&root.join("plan.toml"), plan.to_toml()?.as_bytes())?;
+        files::write_atomic(&root.join("rig.toml"), rig_toml.as_bytes())?;
+        let journal = Journal::create(&session.journal_path())?;
+        let text = serde_json::to_string_pretty(manifest)
+            .context(|| "session manifest cannot be written")?;
+        files::write_atomic(&root.join("session.json"), (text + "\n").as_bytes())?;
+        Ok((session, journal))
+    }
+
+    /// Opens an existing session.
+    ///
+    /// # Errors
+    /// When there is no manifest.
+    pub fn open(root: &Path) -> Result<Self> {
+        if !root.join("session.json").is_file() {
+            return Err(Error::new(format!("{} holds no session", root.display()))
+                .with_hint("a session folder has a session.json; make one with `goniofit capture` or `goniofit simulate`"));
+        }
+        Ok(Self {
+            root: root.to_owned(),
+        })
+    }
+
+    /// The folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Where a frame's file lies.
+    pub fn frame_path(&self, file: &str) -> PathBuf {
+        self.root.join("frames").join(file)
+    }
+
+    /// Where the journal lies.
+    pub fn journal_path(&self) -> PathBuf {
+        self.root.join("journal.jsonl")
+    }
+
+    /// Reads and checks the manifest.
+    ///
+    /// # Errors
+    /// When it cannot be read, is of another format, or a number in it has no meaning.
+    pub fn manifest(&self) -> Result<Manifest> {
+        let path = self.root.join("session.json");
+        let manifest: Manifest = serde_json::from_str(&files::read_text(&path)?)
+            .context(|| format!("{} is damaged", path.display()))?;
+        let bad = |what: &str| Err(Error::new(format!("{}: {what}", path.display())));
+        if manifest.format != Manifest::FORMAT {
+            return bad(&format!(
+                "format '{}' where '{}' was expected",
+                manifest.format,
+                Manifest::FORMAT
+            ));
+        }
+        if !(manifest.camera.pixel_mm > 0.0 && manifest.camera.pixel_mm.is_finite()) {
+            return bad("camera.pixel_mm must be positive");
+        }
+        if !(manifest.sample_square_mm > 0.0 && manifest.sample_square_mm.is_finite()) {
+            return bad("sample_square_mm must be positive");
+        }
+        if !manifest
+            .white
+            .reflectance_factor
+            .iter()
+            .all(|f| (0.01..=2.0).contains(f))
+        {
+            return bad("white.reflectance_factor must lie in 0.01..2");
+        }
+        Ok(manifest)
+    }
+
+    /// Reads the plan.
+    ///
+    /// # Errors
+    /// As [`Plan::read`].
+    pub fn plan(&self) -> Result<Plan> {
+        Plan::read(&self.root.join("plan.toml"))
+    }
+
+    /// The records of all finished shots, in order.
+    ///
+    /// # Errors
+    /// As [`super::read_journal`].
+    pub fn frames(&self) -> Result<Vec<FrameRecord>> {
+        let entries = journal::read_journal(&self.journal_path())?;
+        Ok(entries
+            .into_iter()
+            .filter_map(|e| match e.event {
+                Event::Frame(record) => Some(record),
+                _ => None,
+            })
+            .collect())
+    }
+
+    /// Stores a frame's bytes and journals it. `record.sha256` is filled in here.
+    ///
+    /// # Errors
+    /// When a file of that name exists, or the disk refuses; the shot then does not count.
+    pub fn add_frame(
+        &self,
+        journal: &mut Journal,
+        elapsed_s: f64,
+        mut record: FrameRecord,
+        bytes: &[u8],
+    ) -> Result<()> {
+        record.sha256 = journal::store_frame(&self.frame_path(&record.file), bytes)?;
+        journal.append(elapsed_s, Event::Frame(record))
+    }
+}
+
+impl FrameRecord {
+    /// The standard file name: running number, kind, configuration, exposure.
+    pub fn standard_name(
+        number: usize,
+        kind: FrameKind,
+        config: Option<u32>,
+        exposure_ms: f64,
+        extension: &str,
+    ) -> String {
+        let kind = match kind {
+            FrameKind::Sample => "sample",
+            FrameKind::Dark => "dark",
+            FrameKind::White => "white",
+        };
+        let config = config.map(|c| format!("_c{c:02}")).unwrap_or_default();
+        format!("{number:04}_{kind}{config}_{exposure_ms}ms.{extension}")
+    }
+}

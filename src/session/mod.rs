@@ -1,0 +1,24 @@
+//! What travels between the stages: poses, plans, frame records, intensities, and their files.
+//!
+//! The acquiring half (`rig`, `measure`) and the fitting half (`render`, `fit`) meet only here. Knows neither ports nor
+//! renderers.
+//!
+//! A session folder holds
+//! ```text
+//! session.json        manifest: written once, before the first frame (atomic)
+//! plan.toml rig.toml  copies of what was asked for
+//! journal.jsonl       append-only, one fsynced line per event; a torn last line is tolerated
+//! frames/             the camera's files, never overwritten
+//! measurements.csv    the intensities, once measured
+//! ```
+
+pub mod files;
+mod journal;
+mod manifest;
+mod measurements;
+mod plan;
+
+pub use journal::{Entry, Event, FrameKind, FrameRecord, Journal, read_journal};
+pub use manifest::{CameraFacts, Manifest, SessionFolder, WhiteReference};
+pub use measurements::{Intensity, Measurements};
+pub use plan::{Configuration, Plan};

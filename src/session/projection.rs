@@ -1,0 +1,1 @@
+//! Between the sample plane and the image.
