@@ -30,22 +30,22 @@ const WORTH: f64 = 0.1;
 
 /// Sums of one lamp: value and derivatives.
 #[derive(Debug, Clone, Copy, Default)]
-struct Sums {
-    value: [f64; CHANNELS],
-    derivative: [[f64; CHANNELS]; MAX_ROWS],
+pub(super) struct Sums {
+    pub(super) value: [f64; CHANNELS],
+    pub(super) derivative: [[f64; CHANNELS]; MAX_ROWS],
 }
 
 /// Follows paths and sums their contributions and scores (Khungurn 2015 eq. 11-17): along a path the derivative of its
 /// contribution is the contribution times the sum of `(dS/dt)/S` over its events; sampling is not differentiated.
-struct Summation {
+pub(super) struct Summation {
     rows: usize,
     throughput: [f64; CHANNELS],
     score: [[f64; CHANNELS]; MAX_ROWS],
-    lamps: Vec<Sums>,
+    pub(super) lamps: Vec<Sums>,
 }
 
 impl Summation {
-    fn new(rows: usize, n_lamps: usize) -> Self {
+    pub(super) fn new(rows: usize, n_lamps: usize) -> Self {
         let lamps = vec![Sums::default(); n_lamps];
         Self {
             rows,

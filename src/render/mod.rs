@@ -5,6 +5,8 @@
 
 mod estimate;
 mod geometry;
+#[cfg(test)]
+mod laws;
 mod light;
 mod path;
 mod picture;

@@ -20,8 +20,16 @@ use glam::DVec3;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Event<'a> {
     /// Toward the light side of the path, fiber frame.
+    #[cfg_attr(
+        not(test),
+        expect(dead_code, reason = "read by visitors that record paths")
+    )]
     pub(super) wi: DVec3,
     /// Toward the camera side, fiber frame.
+    #[cfg_attr(
+        not(test),
+        expect(dead_code, reason = "read by visitors that record paths")
+    )]
     pub(super) wo: DVec3,
     /// `S(wi, wo)` times everything that does not depend on the parameters (cosine, densities, roulette).
     pub(super) weight: [f64; CHANNELS],
