@@ -2,6 +2,10 @@
 //!
 //! Knows neither models nor renders: a virtual camera gets its picture from outside, as a trait object.
 
+pub mod virtual_camera;
+
+pub use virtual_camera::{Appearance, SensorModel, VirtualCamera};
+
 use crate::base::Result;
 use crate::session::{CameraFacts, Configuration, FrameKind};
 
