@@ -288,14 +288,14 @@ fn single_scattering_by_a_straight_fiber_has_its_closed_form() {
 }
 
 /// Path tracing without next-event estimation, roulette or shared code for connections: sample, follow, and see whether
-/// the ray that leaves meets the lamp.
+/// the ray that leaves meets the lamp. `kept` scales every scattering (1 but for the negative control).
 fn naive_path(
     scene: &FiberScene,
     scattering: &dyn Scattering,
     lamp: &Lamp,
     toward_camera: DVec3,
     random: &mut Random,
-    swapped: bool,
+    kept: f64,
 ) -> [f64; 3] {
     let geometry = &scene.geometry;
     let through = scene.start(random);
@@ -324,15 +324,7 @@ fn naive_path(
                     return [0.0; 3];
                 };
                 let at = frame.to_local(origin + direction * hit.distance - start);
-                for c in 0..3 {
-                    let flipped = scattering.evaluate(wo, s.wi).value[c] / s.evaluation.value[c];
-                    weight[c] *= s.weight[c]
-                        * if swapped && flipped.is_finite() {
-                            flipped
-                        } else {
-                            1.0
-                        };
-                }
+                weight = std::array::from_fn(|c| weight[c] * s.weight[c] * kept);
                 // Leave on the circle: solve |at + k u| = radius in the cross-section for the larger root.
                 let u = DVec3::new(0.0, s.wi.y, s.wi.z);
                 let (a, b) = (u.length_squared(), at.y * u.y + at.z * u.z);
@@ -384,18 +376,18 @@ fn the_path_tracer_agrees_with_a_naive_one() {
     for (pose, estimate) in poses.iter().zip(&fast.configurations) {
         let lamp = Lamp::new(options.light, pose.light);
         let view = pose.camera.vector();
-        for swapped in [false, true] {
+        for kept in [1.0, 0.95] {
             let mut random = Random::keyed(&[seed(4), u64::from(pose.id)]);
             let mut naive = [Running::default(); 3];
             for _ in 0..60_000 {
-                let path = naive_path(&scene, &*scattering, &lamp, view, &mut random, swapped);
+                let path = naive_path(&scene, &*scattering, &lamp, view, &mut random, kept);
                 (0..3).for_each(|c| naive[c].push(path[c]));
             }
             for (c, naive) in naive.iter().enumerate() {
                 let se = naive.standard_error().hypot(estimate.standard_error[c]);
                 let score = (naive.mean() - estimate.mean[c]) / se;
-                // Negative control: directions given to the model in the wrong order (it is not reciprocal).
-                if swapped {
+                // Negative control: 5 % lost at every scattering.
+                if kept < 1.0 {
                     caught = caught.max(score.abs());
                     continue;
                 }
@@ -413,7 +405,7 @@ fn the_path_tracer_agrees_with_a_naive_one() {
     }
     assert!(
         caught > bound,
-        "the comparison cannot see swapped directions: {caught}"
+        "the comparison cannot see 5 % lost at every scattering: {caught}"
     );
 }
 
@@ -533,13 +525,13 @@ fn derivatives_match_finite_differences_along_one_path() {
                         "the replay is the path"
                     );
                     assert!(
-                        (right[c] - exact).abs() <= 2e-5 * scale,
+                        (right[c] - exact).abs() <= 2e-5 * scale + 1e-30,
                         "path {path} {} channel {c}: {exact} against {}",
                         p.infos()[row].name,
                         right[c]
                     );
                     compared += usize::from(exact != 0.0);
-                    caught += usize::from((frozen[c] - exact).abs() > 2e-5 * scale);
+                    caught += usize::from((frozen[c] - exact).abs() > 2e-5 * scale + 1e-30);
                 }
             }
         }
