@@ -262,8 +262,9 @@ fn report_lines(r: &FabricReport) -> Vec<String> {
     line(
         "fiber overlap",
         format!(
-            "{:.1} % of fiber length lies inside another fiber",
-            100.0 * r.fiber_overlap
+            "{:.0} % of fiber length runs into another fiber, {:.0} % has its axis inside one",
+            100.0 * r.fiber_overlap,
+            100.0 * r.fiber_axis_inside
         ),
     );
     if let Some(overlap) = r.yarn_overlap {

@@ -33,8 +33,10 @@ pub struct FabricReport {
     pub mass_g_per_m2: Option<f64>,
     /// Largest angle between neighboring segments, degrees.
     pub largest_joint_deg: f64,
-    /// Fraction of fiber length inside another fiber (sampled).
+    /// Fraction of fiber length that runs into another fiber (sampled): axes nearer than the sum of the radii.
     pub fiber_overlap: f64,
+    /// Fraction of fiber length whose axis lies inside another fiber (sampled).
+    pub fiber_axis_inside: f64,
     /// Fraction of yarn volume inside a yarn of the other system (woven fabrics).
     pub yarn_overlap: Option<f64>,
     /// Largest distance of a fiber's curve from its segments at their middles, micrometers (woven fabrics).
@@ -112,7 +114,7 @@ impl FabricReport {
             super::link::apart(c.points[0], c.points[c.points.len() - 1], tile.size)
                 <= super::link::SAME_POINT
         };
-        let overlap = fiber_overlap(tile);
+        let [overlap, axis_inside] = fiber_overlap(tile);
         Self {
             tile_mm: tile.size,
             fibers: list.len(),
@@ -126,6 +128,7 @@ impl FabricReport {
             mass_g_per_m2: mass.map(|mg| 1e3 * mg / area),
             largest_joint_deg: sharpest.clamp(-1.0, 1.0).acos().to_degrees(),
             fiber_overlap: overlap,
+            fiber_axis_inside: axis_inside,
             yarn_overlap: None,
             chord_error_um: None,
             systems: Vec::new(),

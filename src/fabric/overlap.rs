@@ -10,9 +10,10 @@ const SAMPLES: usize = 4000;
 /// Columns per weave cell and axis in [`yarn_overlap`].
 const COLUMNS: usize = 24;
 
-/// Fraction of fiber length that lies inside another fiber: axis distance under the sum of the radii, at up to 4000
-/// segment middles evenly spread over the tile's segments, nearest periodic image.
-pub(crate) fn fiber_overlap(tile: &FiberTile) -> f64 {
+/// Fractions of fiber length that run into another fiber (axes nearer than the sum of the radii) and whose axis even lies
+/// inside another fiber (nearer than its radius), at up to 4000 segment middles evenly spread over the tile's segments,
+/// nearest periodic image.
+pub(crate) fn fiber_overlap(tile: &FiberTile) -> [f64; 2] {
     let segments = &tile.segments;
     let fiber = fiber_numbers(tile);
     let stride = segments.len().div_ceil(SAMPLES);
@@ -31,30 +32,30 @@ pub(crate) fn fiber_overlap(tile: &FiberTile) -> f64 {
             near.entry(cell).or_default().push(index);
         }
     }
-    let mut inside = vec![false; samples.len()];
+    // Depth per sample: 0 apart, 1 run into, 2 axis inside.
+    let mut depth = vec![0_u8; samples.len()];
     for (j, other) in segments.iter().enumerate() {
         let Some(list) = near.get(&cells.cell(0.5 * (other.start + other.end))) else {
             continue;
         };
         for &index in list {
             let k = samples[index];
-            if inside[index] || fiber[k] == fiber[j] {
+            if depth[index] == 2 || fiber[k] == fiber[j] {
                 continue;
             }
             let point = 0.5 * (segments[k].start + segments[k].end);
             let distance = axis_distance(point, other.start, other.end, tile.size);
-            inside[index] = distance < segments[k].radius + other.radius;
+            let found = u8::from(distance < segments[k].radius + other.radius)
+                + u8::from(distance < other.radius);
+            depth[index] = depth[index].max(found);
         }
     }
     let length = |k: usize| segments[k].start.distance(segments[k].end);
     let all: f64 = samples.iter().map(|&k| length(k)).sum();
-    let overlapping: f64 = samples
-        .iter()
-        .zip(&inside)
-        .filter(|(_, inside)| **inside)
-        .map(|(&k, _)| length(k))
-        .sum();
-    overlapping / all
+    [1, 2].map(|least| {
+        let reached = samples.iter().zip(&depth).filter(|(_, d)| **d >= least);
+        reached.fold(0.0, |sum, (&k, _)| sum + length(k)) / all
+    })
 }
 
 /// The number of the fiber each segment belongs to.
@@ -219,9 +220,11 @@ mod tests {
     fn overlapping_fibers_are_counted_and_touching_ones_are_not() {
         let size = [1.0, 1.0];
         let apart = from_curves(size, &[straight(0.1, 0.0), straight(0.1201, 0.0)]);
-        assert_eq!(fiber_overlap(&apart), 0.0);
+        assert_eq!(fiber_overlap(&apart), [0.0, 0.0]);
         let close = from_curves(size, &[straight(0.1, 0.0), straight(0.1199, 0.0)]);
-        assert_eq!(fiber_overlap(&close), 1.0);
+        assert_eq!(fiber_overlap(&close), [1.0, 0.0]);
+        let deep = from_curves(size, &[straight(0.1, 0.0), straight(0.1, 0.009)]);
+        assert_eq!(fiber_overlap(&deep), [1.0, 1.0]);
         // Half of the four fibers touch, one pair across the seam.
         let seam = from_curves(
             size,
@@ -232,6 +235,7 @@ mod tests {
                 straight(0.7, 0.0),
             ],
         );
-        assert_eq!(fiber_overlap(&seam), 0.5);
+        let [half, deep] = fiber_overlap(&seam);
+        assert!((half - 0.5).abs() < 1e-12 && deep == 0.0, "{half} {deep}");
     }
 }
