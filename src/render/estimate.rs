@@ -138,6 +138,9 @@ fn groups(scene: &FiberScene, configurations: &[Configuration]) -> Vec<Group> {
 /// Fraction of an asked accuracy aimed at: pilots miss the rarest bright paths and promise a little too much.
 const AIM: f64 = 0.9;
 
+/// Most pilot rounds.
+const MAX_PILOTS: u64 = 6;
+
 /// One round of paths over all groups.
 struct Round<'a> {
     scene: &'a FiberScene,
@@ -297,19 +300,25 @@ pub(super) fn estimate(
         p.iter().map(|&n| pilot_paths(n)).collect()
     });
     let (mut moments, mut paths) = round(0, pilot, vec![0.0; configurations.len()], "pilot")?;
-    if let Effort::Accuracy(target) = request.effort {
-        // A second pilot of about an eighth of the work, as rare bright paths make the first one's variances too low.
-        let first = paths_for_accuracy(&moments, &paths, &groups, target * 8.0_f64.sqrt());
-        (moments, paths) = round(1, first, worth(&moments), "pilot")?;
-    }
     let final_paths = match (&request.effort, planned) {
         (Effort::Accuracy(target), _) => {
-            paths_for_accuracy(&moments, &paths, &groups, AIM * target)
+            // Rare bright paths make a small pilot's variances too low: repeat with larger ones until a pilot is about an
+            // eighth of the work it predicts.
+            let mut needed = paths_for_accuracy(&moments, &paths, &groups, AIM * target);
+            for number in 1..MAX_PILOTS {
+                if 9 * paths.iter().sum::<u64>() >= needed.iter().sum::<u64>() {
+                    break;
+                }
+                let larger = needed.iter().map(|n| (n / 8).max(MIN_PATHS)).collect();
+                (moments, paths) = round(number, larger, worth(&moments), "pilot")?;
+                needed = paths_for_accuracy(&moments, &paths, &groups, AIM * target);
+            }
+            needed
         }
         (_, Some(planned)) => planned,
         (_, None) => unreachable!("only an accuracy leaves the path counts open"),
     };
-    let (moments, paths) = round(2, final_paths, worth(&moments), "render")?;
+    let (moments, paths) = round(MAX_PILOTS, final_paths, worth(&moments), "render")?;
 
     let mut estimates = Vec::with_capacity(configurations.len());
     for (index, (c, m)) in configurations.iter().zip(&moments).enumerate() {
