@@ -43,7 +43,7 @@ pub use wire_log::{
 
 pub mod virtual_camera;
 
-pub use virtual_camera::{Appearance, SensorModel, VirtualCamera};
+pub use virtual_camera::{Appearance, SensorModel, VirtualCamera, white_radiance};
 
 use crate::base::Result;
 use crate::session::{CameraFacts, Configuration, FrameKind};
