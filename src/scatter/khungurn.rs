@@ -134,7 +134,7 @@ impl KhungurnScattering {
         let w5 = o.schlick();
         let r = self.mean_r + (1.0 - self.mean_r) * w5;
         let tt = self.mean_tt * (1.0 - w5);
-        let share = if r + tt > 0.0 { r / (r + tt) } else { 0.5 };
+        let share = if r + tt <= 0.0 { 0.5 } else { r / (r + tt) };
         share.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE)
     }
 

@@ -113,7 +113,9 @@ impl Cells {
             .map(|k| -FRAC_PI_2 + PI * k as f64 / 18.0)
             .collect();
         let mut phi: Vec<f64> = (0..=12).map(|k| -PI + PI * k as f64 / 6.0).collect();
-        for step in [-3.0, -2.0, -1.2, -0.5, 0.0, 0.5, 1.2, 2.0, 3.0] {
+        for step in [
+            -7.0, -4.5, -3.0, -2.0, -1.2, -0.5, 0.0, 0.5, 1.2, 2.0, 3.0, 4.5, 7.0,
+        ] {
             theta.extend(theta_widths.iter().map(|w| theta_center + step * w));
             let edge = phi_center + step * phi_width;
             phi.push(edge - 2.0 * PI * ((edge + PI) / (2.0 * PI)).floor());
