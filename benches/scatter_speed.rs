@@ -2,7 +2,12 @@
 //!
 //! `cargo bench --bench scatter_speed`
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::needless_range_loop,
+    clippy::print_stdout,
+    missing_docs
+)]
 
 use glam::DVec3;
 use goniofit::math::Random;

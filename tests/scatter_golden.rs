@@ -1,5 +1,10 @@
 //! Promise: the Khungurn BCSDF, its derivatives, its normalizer and its energy equal values computed with 30 digits.
-#![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::float_cmp,
+    clippy::needless_range_loop,
+    missing_docs
+)]
 
 #[path = "common/scatter_laws.rs"]
 mod scatter_laws;

@@ -38,17 +38,20 @@ struct ListArguments {
 /// Evaluate a model at given directions: CSV in, CSV out
 #[derive(clap::Args)]
 #[command(after_help = "\
-D.csv has the columns theta_i_deg, phi_i_deg, theta_o_deg, phi_o_deg in any order (others are ignored): the
-longitudinal angle in [-90, 90], 0 being perpendicular to the fiber, and the azimuth around the fiber, of the
-direction toward the light (i) and toward the camera (o).
+D.csv has the columns theta_i_deg, phi_i_deg, theta_o_deg, phi_o_deg in any order
+(others are ignored): the longitudinal angle in [-90, 90], 0 being perpendicular to
+the fiber, and the azimuth around the fiber, of the direction toward the light (i)
+and toward the camera (o).
 
-The output has one row per input row: s_r,s_g,s_b in 1/sr, without any cosine; with --derivatives also
-d_PARAMETER_{r,g,b}, by each channel's own value for colors and per radian for angles.
+The output has one row per input row: s_r,s_g,s_b in 1/sr, without any cosine; with
+--derivatives also d_PARAMETER_{r,g,b}: by each channel's own value for colors, per
+radian for angles.
 
 Examples:
   goniofit scatter eval --model khungurn --params P.json --directions D.csv
   goniofit scatter eval --model khungurn --params P.json --directions D.csv --derivatives > S.csv
-  P.json: {\"c_r\": [0.1, 0.1, 0.1], \"c_tt\": [0.85, 0.85, 0.85], \"beta_r_deg\": 5, \"beta_tt_deg\": 10, \"gamma_tt_deg\": 10}")]
+  P.json: {\"c_r\": [0.1, 0.1, 0.1], \"c_tt\": [0.85, 0.85, 0.85],
+           \"beta_r_deg\": 5, \"beta_tt_deg\": 10, \"gamma_tt_deg\": 10}")]
 struct EvalArguments {
     #[command(flatten)]
     which: Which,
@@ -63,9 +66,10 @@ struct EvalArguments {
 /// Integrate the directional albedo and the reverse albedo of one fiber against the angle
 #[derive(clap::Args)]
 #[command(after_help = "\
-albedo_*: int S(wi, wo) cos(theta_o) dwo, the share of the light from theta that leaves again (at most 1).
-reverse_*: int S(wi, wo) cos(theta_i) dwi, the radiance toward theta in uniform light. Models that are not reciprocal
-(khungurn) let it differ from albedo and exceed 1.
+albedo_*: int S(wi, wo) cos(theta_o) dwo, the share of the light from theta that
+leaves again (at most 1).
+reverse_*: int S(wi, wo) cos(theta_i) dwi, the radiance toward theta in uniform light.
+Models that are not reciprocal (khungurn) let it differ from albedo and exceed 1.
 
 Examples:
   goniofit scatter albedo --model khungurn --params P.json

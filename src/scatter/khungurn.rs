@@ -105,7 +105,7 @@ pub struct KhungurnScattering {
 }
 
 impl KhungurnScattering {
-    /// Precomputes what depends on the parameters alone (about a millisecond).
+    /// Precomputes what depends on the parameters alone: 0.1 to 0.4 ms within Table II, growing as the inverse of the widths.
     ///
     /// # Errors
     /// A color outside [0, 1], or a width outside 0.01 to 360 degrees. That is wider than Table II.

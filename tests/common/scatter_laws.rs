@@ -6,18 +6,18 @@
 use glam::DVec3;
 use goniofit::math::{GaussLegendre, Random};
 use goniofit::scatter::{
-    CHANNELS, Evaluation, Model, Parameters, Scattering, fiber_direction, longitudinal_angle,
+    Evaluation, Model, Parameters, Scattering, fiber_direction, longitudinal_angle,
 };
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// The seed of all statistical tests; the variable `SEED` overrides it.
-pub fn seed() -> u64 {
+pub(crate) fn seed() -> u64 {
     std::env::var("SEED").map_or(2015, |s| s.parse().expect("SEED is a number"))
 }
 
 /// Khungurn parameters: colors, then beta_r, beta_tt, gamma_tt in degrees.
-pub fn khungurn(c_r: [f64; 3], c_tt: [f64; 3], widths_deg: [f64; 3]) -> Parameters {
+pub(crate) fn khungurn(c_r: [f64; 3], c_tt: [f64; 3], widths_deg: [f64; 3]) -> Parameters {
     let values = c_r
         .into_iter()
         .chain(c_tt)
@@ -26,7 +26,7 @@ pub fn khungurn(c_r: [f64; 3], c_tt: [f64; 3], widths_deg: [f64; 3]) -> Paramete
 }
 
 /// A direction from its longitudinal angle and azimuth in degrees.
-pub fn direction_deg(theta: f64, phi: f64) -> DVec3 {
+pub(crate) fn direction_deg(theta: f64, phi: f64) -> DVec3 {
     fiber_direction(theta.to_radians(), phi.to_radians())
 }
 
@@ -38,7 +38,7 @@ pub fn direction_deg(theta: f64, phi: f64) -> DVec3 {
 /// `derivative` is what is on trial; values come from `model`. Five-point differences with a step of 1e-3 of the
 /// parameter (or of its range), central where the model accepts both sides, one-sided at the edge of its domain. Noise and
 /// truncation of the differences stay below 1e-7 for lobes that change by less than a factor of 10 per width.
-pub fn derivative_error(
+pub(crate) fn derivative_error(
     model: &dyn Model,
     parameters: &Parameters,
     wi: DVec3,
@@ -60,12 +60,12 @@ pub fn derivative_error(
             Some(moved.evaluate(wi, wo).value)
         };
         let slope = five_points(&value, h);
-        for c in 0..CHANNELS {
+        for (c, slope) in slope.into_iter().enumerate() {
             if parameters.slot(row, c) != slot {
                 continue;
             }
-            let scale = (found.value[c].abs() / range).max(slope[c].abs()) + 1e-30;
-            let error = (found.derivative[row][c] - slope[c]).abs() / scale;
+            let scale = (found.value[c].abs() / range).max(slope.abs()) + 1e-30;
+            let error = (found.derivative[row][c] - slope).abs() / scale;
             assert!(error.is_finite(), "{} at {wi}, {wo}: {found:?}", info.name);
             worst = worst.max(error);
         }
@@ -100,13 +100,13 @@ fn five_points(value: &dyn Fn(f64) -> Option<[f64; 3]>, h: f64) -> [f64; 3] {
 // ---- sampler against density ---------------------------------------------------------------------------------------
 
 /// Cells in (theta, phi) whose edges crowd where lobes of the given widths around the mirrored direction of `wo` lie.
-pub struct Cells {
+pub(crate) struct Cells {
     theta: Vec<f64>,
     phi: Vec<f64>,
 }
 
 impl Cells {
-    pub fn around(wo: DVec3, theta_widths: &[f64], phi_width: f64) -> Self {
+    pub(crate) fn around(wo: DVec3, theta_widths: &[f64], phi_width: f64) -> Self {
         let theta_center = -longitudinal_angle(wo);
         let phi_center = (-wo.z).atan2(-wo.y);
         let mut theta: Vec<f64> = (0..=18)
@@ -142,7 +142,7 @@ impl Cells {
     }
 
     /// Integrals over the cells of a density per solid angle.
-    pub fn integrate(&self, pdf: impl Fn(DVec3) -> f64) -> Vec<f64> {
+    pub(crate) fn integrate(&self, pdf: impl Fn(DVec3) -> f64) -> Vec<f64> {
         let rule = GaussLegendre::new(14);
         let mut cells = Vec::with_capacity(self.count());
         for theta in self.theta.windows(2) {
@@ -158,7 +158,7 @@ impl Cells {
 
 /// Chi-square p-value of directions from `draw` against the cell probabilities; cells with fewer than 10 expected are
 /// pooled. Returns the p-value and what an assertion should print.
-pub fn chi_square(
+pub(crate) fn chi_square(
     cells: &Cells,
     probabilities: &[f64],
     n: u64,
@@ -196,6 +196,6 @@ pub fn chi_square(
 }
 
 /// A stream for one named purpose of a statistical test.
-pub fn stream(purpose: u64, case: usize) -> Random {
+pub(crate) fn stream(purpose: u64, case: usize) -> Random {
     Random::keyed(&[seed(), purpose, case as u64])
 }
