@@ -455,7 +455,7 @@ fn senseless_descriptions_are_refused_with_place_and_hint() {
         "fibers = 4000000000",
         "fibers: expected at most",
     );
-    refused("fibers = 5", "fibers = -1", "line 7");
+    refused("fibers = 5", "fibers = -1", "line 8");
     refused(
         "fiber_radius_um = 10.0",
         "fiber_radius_um = -1.0",

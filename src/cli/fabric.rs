@@ -3,6 +3,7 @@
 use super::Outcome;
 use crate::base::{Context, Error, Result};
 use crate::fabric::{self, Fabric, FabricReport, Format};
+use crate::report::swatch::{self, Line};
 use clap::{Parser, Subcommand, ValueEnum};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -30,6 +31,7 @@ enum Command {
     Describe(Describe),
     Export(Export),
     Import(Import),
+    Picture(Picture),
 }
 
 /// Say what a fabric is made of: counts, thickness, fill, overlap
@@ -87,6 +89,26 @@ struct Import {
     force: bool,
 }
 
+/// Draw a fabric from above and cut across, as PNG
+#[derive(Parser)]
+#[command(
+    after_help = "Example:\n  goniofit fabric picture fabrics/gabardine.toml --out gabardine.png\n\n\
+                  Plain shading for the eye, warp blue and weft orange; no scattering model."
+)]
+struct Picture {
+    /// Fabric description (.toml) or segments (.csv)
+    fabric: PathBuf,
+    /// PNG file to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Width in pixels
+    #[arg(long, default_value_t = 900)]
+    width: u32,
+    /// Replace the file if it exists
+    #[arg(long)]
+    force: bool,
+}
+
 #[derive(Clone, Copy, ValueEnum)]
 enum FormatName {
     /// Segments as comma-separated text
@@ -120,6 +142,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
         Command::Describe(a) => describe(&a),
         Command::Export(a) => export(&a),
         Command::Import(a) => import(&a),
+        Command::Picture(a) => picture(&a),
     }?;
     Ok(Outcome::Done)
 }
@@ -179,6 +202,21 @@ fn import(arguments: &Import) -> Result<()> {
         tile.size[1]
     );
     Ok(())
+}
+
+fn picture(arguments: &Picture) -> Result<()> {
+    refuse_existing(&arguments.out, arguments.force)?;
+    let fabric = fabric::load(&arguments.fabric)?;
+    let lines: Vec<Line> = fabric::curves(&fabric.tile)
+        .into_iter()
+        .map(|curve| Line {
+            radius: curve.radii.iter().sum::<f64>() / curve.radii.len() as f64,
+            group: curve.yarn_system.into(),
+            points: curve.points,
+        })
+        .collect();
+    let png = swatch::picture(&lines, fabric.tile.size, arguments.width)?;
+    write_whole(&arguments.out, &png)
 }
 
 fn refuse_existing(path: &Path, force: bool) -> Result<()> {

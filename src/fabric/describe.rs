@@ -7,6 +7,8 @@ use std::f64::consts::PI;
 
 /// Overlap above which the report adds a hint.
 const LARGE_OVERLAP: f64 = 0.05;
+/// Fraction of fiber length inside other fibers above which the report adds a hint.
+const LARGE_AXIS_INSIDE: f64 = 0.25;
 
 /// Facts about a fabric, computed from its segments (and, for a woven one, its yarns).
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -133,7 +135,7 @@ impl FabricReport {
             chord_error_um: None,
             systems: Vec::new(),
             closings: Vec::new(),
-            notes: Vec::new(),
+            notes: crowded(axis_inside).into_iter().collect(),
         }
     }
 
@@ -207,4 +209,14 @@ impl FabricReport {
         }
         self.systems.push(report);
     }
+}
+
+/// The remark on fibers that run along inside each other.
+fn crowded(axis_inside: f64) -> Option<String> {
+    (axis_inside > LARGE_AXIS_INSIDE).then(|| {
+        format!(
+            "{:.0} % of fiber length has its axis inside another fiber: fibers are placed without regard to contact; fewer or thinner fibers, wider yarns or a smaller migration_depth lessen it",
+            100.0 * axis_inside
+        )
+    })
 }
