@@ -3,12 +3,13 @@
 use super::render::fiber_scene;
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
-use crate::render::{Effort, Estimates, FiberScene, Request, Scene, TilePicture};
+use crate::render::{Effort, Estimate, FiberScene, Request, Scene, TilePicture};
 use crate::rig::capture::CaptureOptions;
 use crate::rig::simulated::capture_in_process;
 use crate::rig::{Appearance, RigDescription, SensorModel, VirtualCamera, white_radiance};
 use crate::scatter::{self, Parameters};
 use crate::session::{Configuration, FrameKind, Plan, WhiteReference, files};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -58,6 +59,9 @@ pub(crate) struct Arguments {
     /// Weighted rms standard error of the true means
     #[arg(long, value_name = "A", default_value = "1%", value_parser = inputs::fraction)]
     accuracy: f64,
+    /// Take the true means from an earlier session's truth.json of the same fabric, model, parameters and plan
+    #[arg(long, value_name = "TRUTH.json", conflicts_with = "accuracy")]
+    truth: Option<PathBuf>,
     /// Texels per side of a tile's picture
     #[arg(long, value_name = "N", default_value_t = 40)]
     texels: usize,
@@ -102,26 +106,13 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     let terminal = Terminal::new()?;
     let scene = fiber_scene(&a.fabric, model)?;
 
-    terminal.say(format!(
-        "rendering the true means to {:.2} %",
-        100.0 * a.accuracy
-    ));
-    let request = Request {
-        configurations: &plan.configurations,
-        parameters: &parameters,
-        effort: Effort::Accuracy(a.accuracy),
-        seed: a.seed,
-        stream: 0,
+    let truth = match &a.truth {
+        Some(path) => earlier_truth(path, &a, &parameters, &plan)?,
+        None => render_truth(&a, &scene, &parameters, &plan, &terminal)?,
     };
-    let truth = scene.estimate(&request, &terminal)?;
-    terminal.say(format!(
-        "true means known to {:.2} % after {:.0} s",
-        100.0 * truth.weighted_rms_error(),
-        truth.wall_s
-    ));
     let mut camera = virtual_camera(&a, &scene, &plan, &parameters, &rig, &terminal)?;
-    for (configuration, estimate) in plan.configurations.iter().zip(&truth.configurations) {
-        camera.rescale_to(configuration, rig.camera.sample_square_mm, estimate.mean)?;
+    for (configuration, row) in plan.configurations.iter().zip(&truth.configs) {
+        camera.rescale_to(configuration, rig.camera.sample_square_mm, row.mean)?;
     }
     terminal.say("capturing with the virtual camera on a simulated controller");
     let options = CaptureOptions {
@@ -131,7 +122,6 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     };
     let summary = capture_in_process(&rig, &plan, &mut camera, &a.out, &options, &terminal)?;
     terminal.finish_stage();
-    let truth = truth_json(&a, &parameters, &truth);
     let text = serde_json::to_string_pretty(&truth).context(|| "truth.json cannot be written")?;
     files::write_atomic(&a.out.join("truth.json"), (text + "\n").as_bytes())?;
     terminal.say(format!(
@@ -152,22 +142,108 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     })
 }
 
-fn truth_json(a: &Arguments, parameters: &Parameters, truth: &Estimates) -> Value {
-    let configs: Vec<Value> = truth
-        .configurations
-        .iter()
-        .map(|e| json!({"config": e.config, "mean": e.mean, "se": e.standard_error}))
-        .collect();
-    json!({
-        "synthetic": true,
-        "fabric": a.fabric,
-        "model": a.model,
-        "parameters": parameters.to_json(),
-        "configs": configs,
-        "weighted_rms_se": truth.weighted_rms_error(),
-        "seed": a.seed,
-        "program": format!("goniofit {}", env!("CARGO_PKG_VERSION")),
+/// What a synthetic session was made from: `truth.json`.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Truth {
+    pub(crate) synthetic: bool,
+    pub(crate) fabric: PathBuf,
+    pub(crate) model: String,
+    pub(crate) parameters: Value,
+    pub(crate) configs: Vec<TrueMean>,
+    pub(crate) weighted_rms_se: f64,
+    pub(crate) seed: u64,
+    pub(crate) program: String,
+}
+
+/// The true mean of one configuration, and how well the renderer knows it.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct TrueMean {
+    pub(crate) config: u32,
+    pub(crate) mean: [f64; 3],
+    pub(crate) se: [f64; 3],
+}
+
+fn render_truth(
+    a: &Arguments,
+    scene: &FiberScene,
+    parameters: &Parameters,
+    plan: &Plan,
+    terminal: &Terminal,
+) -> Result<Truth> {
+    terminal.say(format!(
+        "rendering the true means to {:.2} %",
+        100.0 * a.accuracy
+    ));
+    let request = Request {
+        configurations: &plan.configurations,
+        parameters,
+        effort: Effort::Accuracy(a.accuracy),
+        seed: a.seed,
+        stream: 0,
+    };
+    let estimates = scene.estimate(&request, terminal)?;
+    let weighted_rms_se = estimates.weighted_rms_error();
+    terminal.say(format!(
+        "true means known to {:.2} % after {:.0} s",
+        100.0 * weighted_rms_se,
+        estimates.wall_s
+    ));
+    let true_mean = |e: &Estimate| TrueMean {
+        config: e.config,
+        mean: e.mean,
+        se: e.standard_error,
+    };
+    Ok(Truth {
+        synthetic: true,
+        fabric: a.fabric.clone(),
+        model: a.model.clone(),
+        parameters: parameters.to_json(),
+        configs: estimates.configurations.iter().map(true_mean).collect(),
+        weighted_rms_se,
+        seed: a.seed,
+        program: format!("goniofit {}", env!("CARGO_PKG_VERSION")),
     })
+}
+
+/// Reads the true means of an earlier session, which must have been made from the same things.
+fn earlier_truth(
+    path: &Path,
+    a: &Arguments,
+    parameters: &Parameters,
+    plan: &Plan,
+) -> Result<Truth> {
+    let truth: Truth = serde_json::from_str(&files::read_text(path)?)
+        .context(|| format!("{} is damaged", path.display()))?;
+    let differs = if truth.fabric != a.fabric {
+        "fabric"
+    } else if truth.model != a.model || truth.parameters != parameters.to_json() {
+        "model or its parameters"
+    } else if truth
+        .configs
+        .iter()
+        .map(|c| c.config)
+        .ne(plan.configurations.iter().map(|c| c.id))
+    {
+        "plan"
+    } else {
+        return Ok(truth);
+    };
+    Err(Error::new(format!(
+        "{}: the {differs} differs from what is asked for",
+        path.display()
+    ))
+    .with_hint("leave out --truth to render the true means anew"))
+}
+
+/// Reads the truth of a session folder, if it is a synthetic one.
+pub(crate) fn read_truth(session: &Path) -> Result<Option<Truth>> {
+    let path = session.join("truth.json");
+    if !path.exists() {
+        return Ok(None);
+    }
+    serde_json::from_str(&files::read_text(&path)?)
+        .context(|| format!("{} is damaged", path.display()))
+        .map(Some)
 }
 
 /// Renders the pictures and puts them in front of the sensor.
@@ -242,15 +318,4 @@ impl Appearance for Swatch {
             FrameKind::Dark => [0.0; 3],
         }
     }
-}
-
-/// Reads the truth a synthetic session was made from, if it has one.
-pub(crate) fn read_truth(session: &Path) -> Result<Option<Value>> {
-    let path = session.join("truth.json");
-    if !path.exists() {
-        return Ok(None);
-    }
-    let value = serde_json::from_str(&files::read_text(&path)?)
-        .context(|| format!("{} is damaged", path.display()))?;
-    Ok(Some(value))
 }
