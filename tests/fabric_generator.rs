@@ -278,7 +278,7 @@ fn interpenetration_is_reported_not_mended() {
 #[test]
 fn senseless_descriptions_are_refused_with_place_and_hint() {
     let refused = |from: &str, to: &str, expected: &str| {
-        let message = described(&small(&[(from, to)])).unwrap_err();
+        let message = described(&small(&[(from, to)])).map(|_| to).unwrap_err();
         assert!(message.contains(expected), "{to}: {message}");
     };
     refused("fibers = 5", "fibers = 0", "fabric would be empty");
@@ -310,10 +310,14 @@ fn senseless_descriptions_are_refused_with_place_and_hint() {
         "repeats = [100000000, 1]",
         "tile size 90000000",
     );
-    refused(
-        "length_mm = 0.01",
-        "length_mm = 0.00001",
-        "segments: expected at most",
+    let many = small(&[
+        ("fibers = 5", "fibers = 50"),
+        ("length_mm = 0.01", "length_mm = 0.00001"),
+    ]);
+    let message = described(&many).map(|_| ()).unwrap_err();
+    assert!(
+        message.contains("27000000 segments: expected at most") && message.contains("hint: fewer"),
+        "{message}"
     );
     refused("length_mm = 0.01", "chord_error_um = 0.0", "chord_error_um");
     refused(
