@@ -172,6 +172,9 @@ fn malformed_text_is_refused_with_the_line() {
         "line 3: expected a yarn_system",
     );
     csv(head.to_owned(), "the fabric is empty");
+    // Line ends and the byte order mark of other systems are no error.
+    let foreign = format!("\u{feff}{}", format!("{head}{row}").replace('\n', "\r\n"));
+    assert!(read(foreign.as_bytes(), Format::Csv, None).is_ok());
     csv(String::new(), "the tile size is missing");
     csv(
         format!("{}{row}", head.replace("[1, 1]", "[1, -1]")),

@@ -30,7 +30,8 @@ pub(crate) fn write(tile: &FiberTile) -> Vec<u8> {
 
 pub(crate) fn read(bytes: &[u8], tile: Option<[f64; 2]>) -> Result<FiberTile> {
     let text = std::str::from_utf8(bytes)
-        .map_err(|e| Error::new(format!("byte {}: this is not text", e.valid_up_to())))?;
+        .map_err(|e| Error::new(format!("byte {}: this is not text", e.valid_up_to())))?
+        .trim_start_matches('\u{feff}');
     let mut stored = None;
     let mut header = false;
     let mut segments = Vec::new();
