@@ -1,7 +1,7 @@
 //! One configuration: weighted means over the projected sample square, exposure by exposure, and what their variances
 //! are made of.
 //!
-//! With pixel weights `w_i` (covered fraction), the white fit `F_i` and the standard's normalized radiance `K`, exposure e
+//! With pixel weights `w_i` (area the pixel stands for), the white fit `F_i` and the standard's normalized radiance `K`, exposure e
 //! says
 //!
 //! ```text
@@ -68,7 +68,7 @@ pub(super) struct Texture {
     nugget: [Differences; 3],
     /// The same for the greens along the diagonals, which sees what a step of two pixels hides.
     diagonal: Differences,
-    /// Variance of a channel mean per unit of pixel variance, for uncorrelated texture.
+    /// [`Region::sampling`].
     share: [f64; 3],
 }
 
@@ -92,33 +92,21 @@ impl Texture {
     /// The filter `(1, -2, 1) x (1, -2, 1)` passes 36 times the variance of texture that is uncorrelated from pixel to
     /// pixel and nothing of slow variations.
     pub(super) fn measure(region: &Region, stack: &Stack, white: &White) -> Self {
-        let mut area = [0.0; 3];
-        let mut square_weights = [0.0; 3];
         let mut values = HashMap::with_capacity(region.pixels.len());
         for (pixel, &signal) in region.pixels.iter().zip(&stack.signal) {
-            area[pixel.channel] += pixel.weight;
-            square_weights[pixel.channel] += pixel.weight * pixel.weight;
-            if pixel.weight > 0.999 {
-                let rate = white.rate(pixel.channel, &white.terms(pixel.x, pixel.y));
-                let g = white.radiance[pixel.channel] / (rate * stack.exposure_ms);
-                values.insert((pixel.x, pixel.y), (g, signal));
-            }
+            let rate = white.rate(pixel.channel, &white.terms(pixel.x, pixel.y));
+            let g = white.radiance[pixel.channel] / (rate * stack.exposure_ms);
+            values.insert((pixel.x, pixel.y), (g, signal));
         }
         let read = stack.dark_variance * (1.0 / stack.repeats + 1.0 / stack.dark_count);
         let differences = |channel: usize, u: (isize, isize), v: (isize, isize)| {
             let of_channel = region.pixels.iter().filter(|p| p.channel == channel);
             mixed_differences(of_channel, &values, u, v, stack.repeats, read)
         };
-        // A lattice that holds the fraction f of the pixels misses 1 - f of uncorrelated texture's variance.
-        let missed = [0.75, 0.5, 0.75];
-        let share = std::array::from_fn(|c| {
-            let share = missed[c] * square_weights[c] / (area[c] * area[c]);
-            if area[c] > 0.0 { share } else { 0.0 }
-        });
         Self {
             nugget: std::array::from_fn(|c| differences(c, (2, 0), (0, 2))),
             diagonal: differences(1, (1, 1), (1, -1)),
-            share,
+            share: region.sampling,
         }
     }
 

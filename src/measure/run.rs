@@ -168,13 +168,8 @@ pub fn measure_session(
         darks.find(frame)?;
     }
 
-    let bounds = union(&coverages);
-    let white_region = Region::new(
-        (bounds[1]..bounds[3]).flat_map(|y| (bounds[0]..bounds[2]).map(move |x| (x, y, 1.0))),
-        manifest.camera.width,
-        darks.cfa,
-        &darks.hot,
-    );
+    let bounds = union(&coverages, darks.size);
+    let white_region = Region::whole_box(bounds, darks.size[0], darks.cfa, &darks.hot);
     let (white_stacks, mut cells) = read_stacks(
         &loader,
         &of_kind(FrameKind::White),
@@ -256,17 +251,23 @@ fn check_records(records: &[FrameRecord], known: impl Fn(u32) -> bool) -> Result
     Ok(())
 }
 
-/// The box around all crops.
-fn union(coverages: &[Coverage]) -> [usize; 4] {
+/// The box around all crops and the pixels next to them.
+fn union(coverages: &[Coverage], [width, height]: [usize; 2]) -> [usize; 4] {
     let start = [usize::MAX, usize::MAX, 0, 0];
-    coverages.iter().map(Coverage::bounds).fold(start, |a, b| {
+    let [left, top, right, bottom] = coverages.iter().map(Coverage::bounds).fold(start, |a, b| {
         [
             a[0].min(b[0]),
             a[1].min(b[1]),
             a[2].max(b[2]),
             a[3].max(b[3]),
         ]
-    })
+    });
+    [
+        left.saturating_sub(1),
+        top.saturating_sub(1),
+        (right + 1).min(width),
+        (bottom + 1).min(height),
+    ]
 }
 
 fn read_configuration(
@@ -282,7 +283,7 @@ fn read_configuration(
         .iter()
         .filter(|r| r.kind == FrameKind::Sample && r.config == Some(configuration.id))
         .collect();
-    let region = Region::new(coverage.pixels(), darks.width, darks.cfa, &darks.hot);
+    let region = Region::covered(coverage, darks.size, darks.cfa, &darks.hot);
     let (stacks, cells) = read_stacks(loader, &own, &region, darks, options.usable_fraction)?;
     let usable = || stacks.iter().filter(|s| s.clipped == 0);
     let saturated = match (usable().next(), stacks.first()) {
