@@ -65,11 +65,6 @@ fn verdict(pulls: &[Vec<f64>]) -> Result<String, String> {
         return Err(format!("wrong standard errors: {text}"));
     }
     for cell in 0..cells {
-        println!(
-            "cell {cell} {:.2} {:.2}",
-            pulls.iter().map(|p| p[cell]).sum::<f64>() / n,
-            pulls.iter().map(|p| p[cell] * p[cell]).sum::<f64>() / n
-        );
         let mean = pulls.iter().map(|p| p[cell]).sum::<f64>() / n;
         if !(mean.abs() * n.sqrt() < normal_limit) {
             return Err(format!("cell {cell}: mean pull {mean:.3}; {text}"));

@@ -15,6 +15,8 @@ use std::collections::HashMap;
 /// One exposure of one configuration.
 pub(super) struct ExposureSums {
     pub(super) exposure_ms: f64,
+    /// How messages call its first frame.
+    pub(super) title: String,
     pub(super) channels: [ChannelSums; 3],
 }
 
@@ -56,6 +58,7 @@ pub(super) fn exposure_sums(region: &Region, stack: &Stack, white: &White) -> Ex
     }
     ExposureSums {
         exposure_ms: t,
+        title: stack.title.clone(),
         channels,
     }
 }

@@ -158,3 +158,32 @@ fn mean_of(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, n) = values.fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
     if n > 0.0 { sum / n } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hot_pixels_are_found_and_do_not_widen_the_scatter() {
+        let mut random = crate::math::Random::keyed(&[4]);
+        // Places of the 2x2 block differ by 10 raw values: that is no scatter.
+        let mut mean: Vec<f32> = (0..100 * 80)
+            .map(|i| {
+                let place = CfaPattern::position(i / 100, i % 100);
+                (100.0 + 10.0 * place as f64 + 2.0 * random.normal()) as f32
+            })
+            .collect();
+        for i in [7, 2050, 7999] {
+            mean[i] += 60.0;
+        }
+        let mut hot = vec![false; mean.len()];
+        let variance = spatial_scatter(&mean, 100, 8.0, &mut hot);
+        let found: Vec<usize> = (0..mean.len()).filter(|&i| hot[i]).collect();
+        assert_eq!(found, [7, 2050, 7999]);
+        // 8000 pixels: sees a variance off by 7 % (4.5 standard errors).
+        assert!(
+            (variance - 4.0).abs() < 4.0 * 4.5 * (2.0 / 8000.0_f64).sqrt(),
+            "{variance}"
+        );
+    }
+}

@@ -468,13 +468,14 @@ fn check_dark(reading: &Reading, channel: usize, a: f64) -> Result<()> {
         let deviation = sums.mean / variance(sums, a).sqrt();
         if deviation < -6.0 {
             return Err(Error::new(format!(
-                "configuration {}, {} ms: the dark frame is brighter than the sample frame ({:.1} standard errors, {})",
-                reading.configuration.id,
-                exposure.exposure_ms,
+                "{}: the dark frame is brighter than the sample frame ({:.1} standard errors, {})",
+                exposure.title,
                 -deviation,
                 ["red", "green", "blue"][channel]
             ))
-            .with_hint("was the light on for the dark frames, or did the sensor warm up? take darks again"));
+            .with_hint(
+                "was the light on for the dark frames, or did the sensor warm up? take darks again",
+            ));
         }
     }
     Ok(())

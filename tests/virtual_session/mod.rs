@@ -44,6 +44,7 @@ pub struct Setup {
     /// The sensor while the darks are shot.
     pub dark_sensor: SensorModel,
     pub exposures_ms: Vec<f64>,
+    pub dark_exposures_ms: Vec<f64>,
     /// Camera polar angle (degrees), rotation (degrees) and true mean of each configuration.
     pub poses: Vec<(f64, f64, [f64; 3])>,
     pub sample_repeats: u32,
@@ -69,6 +70,7 @@ impl Setup {
             dark_sensor: sensor.clone(),
             sensor,
             exposures_ms: vec![4.0, 16.0, 64.0],
+            dark_exposures_ms: vec![4.0, 16.0, 64.0],
             poses: vec![
                 (0.0, 0.0, [0.9, 1.1, 0.7]),
                 (48.0, 90.0, [0.3, 0.25, 0.2]),
@@ -158,7 +160,11 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
     };
     let mut shots = Vec::new();
     let mut add = |kind, config: Option<u32>, pose: Configuration, repeats| {
-        for &exposure_ms in &setup.exposures_ms {
+        let exposures_ms = match kind {
+            FrameKind::Dark => &setup.dark_exposures_ms,
+            _ => &setup.exposures_ms,
+        };
+        for &exposure_ms in exposures_ms {
             for repeat in 0..repeats {
                 shots.push(Shot {
                     kind,
