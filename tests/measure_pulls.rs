@@ -58,15 +58,18 @@ fn verdict(pulls: &[Vec<f64>]) -> Result<String, String> {
         square.mean(),
         square.standard_error()
     );
-    if !(mean.mean().abs() < t_limit * mean.standard_error()) {
+    let unbiased = mean.mean().abs() < t_limit * mean.standard_error();
+    let honest = (square.mean() - 1.0).abs() < t_limit * square.standard_error();
+    if !unbiased {
         return Err(format!("biased: {text}"));
     }
-    if !((square.mean() - 1.0).abs() < t_limit * square.standard_error()) {
+    if !honest {
         return Err(format!("wrong standard errors: {text}"));
     }
     for cell in 0..cells {
         let mean = pulls.iter().map(|p| p[cell]).sum::<f64>() / n;
-        if !(mean.abs() * n.sqrt() < normal_limit) {
+        let centered = mean.abs() * n.sqrt() < normal_limit;
+        if !centered {
             return Err(format!("cell {cell}: mean pull {mean:.3}; {text}"));
         }
     }

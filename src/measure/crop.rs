@@ -9,7 +9,7 @@
 //! ```
 
 use super::frames::{Pixel, Region, Stack};
-use super::white::{TERMS, Terms, White};
+use super::white::{Terms, White};
 use std::collections::HashMap;
 
 /// One exposure of one configuration.
@@ -52,8 +52,8 @@ pub(super) fn exposure_sums(region: &Region, stack: &Stack, white: &White) -> Ex
         sums.shot += g2 * signal / stack.repeats;
         sums.read += g2 * stack.dark_variance / stack.repeats;
         sums.dark += g2 * stack.dark_variance / stack.dark_count;
-        for k in 0..TERMS {
-            sums.white[k] += m * phi[k] / rate;
+        for (sum, term) in sums.white.iter_mut().zip(&phi) {
+            *sum += m * term / rate;
         }
     }
     ExposureSums {

@@ -219,7 +219,7 @@ impl Region {
         let columns = x1 - x0;
         let mut weights = vec![[0.0; 3]; columns * (y1 - y0)];
         for (x, y, weight) in coverage.pixels() {
-            for channel in 0..3 {
+            for channel in [0, 1, 2] {
                 let around = interpolation(cfa, channel, x, y)
                     .filter(|&(x, y)| (x0..x1).contains(&x) && (y0..y1).contains(&y))
                     .filter(|&(x, y)| !hot[y * width + x]);
@@ -230,12 +230,7 @@ impl Region {
                 }
             }
         }
-        let mut total = [0.0; 3];
-        for w in &weights {
-            for channel in 0..3 {
-                total[channel] += w[channel];
-            }
-        }
+        let total = [0, 1, 2].map(|c| weights.iter().map(|w| w[c]).sum::<f64>());
         let area = coverage.area();
         // sum_p (W_p / sum W - w_p / sum w)^2 over all pixels, from sum W^2, sum W w and sum w^2.
         let mut sampling =
@@ -248,12 +243,9 @@ impl Region {
         }
         let mut pixels = Vec::new();
         for (i, own) in weights.iter().enumerate() {
-            for channel in 0..3 {
-                let square = own[channel] * own[channel];
-                sampling[channel] += square / (total[channel] * total[channel]);
-                if own[channel] > 0.0 {
-                    pixels.push(pixel(cfa, x0 + i % columns, y0 + i / columns, own[channel]));
-                }
+            for (channel, &weight) in own.iter().enumerate().filter(|(_, w)| **w > 0.0) {
+                sampling[channel] += (weight / total[channel]).powi(2);
+                pixels.push(pixel(cfa, x0 + i % columns, y0 + i / columns, weight));
             }
         }
         Self {
