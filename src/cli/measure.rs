@@ -1,12 +1,283 @@
-//! `goniofit measure`.
+//! `goniofit measure`: statistics of one frame, or the intensities of a session.
 
 use super::Outcome;
-use crate::base::{Error, Result};
+use super::terminal::Terminal;
+use crate::base::{Context, Error, Result};
+use crate::measure::{self, Crop, FrameStatistics, MeasureOptions, MeasureReport, RawFrame};
+use crate::session::{FrameKind, Measurements, SessionFolder, files};
+use clap::{Args, Subcommand};
+use serde_json::json;
+use std::path::{Path, PathBuf};
 
 /// Turn a session's frames into mean intensities with standard errors
-#[derive(clap::Args)]
-pub(crate) struct Arguments {}
+#[derive(Args)]
+#[command(after_help = "Examples:
+  goniofit measure session goniofit-demo
+  goniofit measure frame IMG_0001.CR2 --crop 1056,760,200,200 --json")]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
 
-pub(crate) fn run(_arguments: Arguments) -> Result<Outcome> {
-    Err(Error::new("not built yet"))
+#[derive(Subcommand)]
+enum What {
+    Frame(FrameArguments),
+    Session(SessionArguments),
+}
+
+/// Raw values of one RAW file, per channel of its color filter array (black not subtracted)
+#[derive(Args)]
+#[command(
+    after_help = "Coordinates count from the top left pixel of the visible area (masked margins removed).
+Channels: R, G1 (greens of even rows), G2 (greens of odd rows), B.
+
+Examples:
+  goniofit measure frame IMG_0001.CR2 --crop 1056,760,200,200
+  goniofit measure frame shot.dng --json        the whole visible area"
+)]
+struct FrameArguments {
+    /// RAW file: any the decoder knows, or DNG
+    file: PathBuf,
+    /// Box of the visible area; default: all of it
+    #[arg(long, value_name = "X,Y,W,H", value_parser = parse_crop)]
+    crop: Option<Crop>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Mean normalized radiance of the sample square in every configuration of a session
+#[derive(Args)]
+#[command(
+    after_help = "Writes measurements.csv into the session folder and prints a table.
+Exit code 1 when some configuration was saturated, under-exposed or not captured.
+
+Examples:
+  goniofit measure session goniofit-demo
+  goniofit measure session goniofit-demo --out again.csv --json
+  goniofit measure session goniofit-demo --force        replace an existing measurements.csv"
+)]
+struct SessionArguments {
+    /// Session folder (holds session.json)
+    folder: PathBuf,
+    /// CSV file to write [default: measurements.csv in the session folder]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print JSON with the error budget instead of the table
+    #[arg(long)]
+    json: bool,
+    /// Replace an existing CSV file
+    #[arg(long)]
+    force: bool,
+}
+
+pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
+    quiet_decoder_panics();
+    match arguments.what {
+        What::Frame(a) => frame(&a),
+        What::Session(a) => session(&a),
+    }
+}
+
+/// Keeps the decoder's panics on damaged files off stderr: they are caught and come back as errors. Other panics are
+/// told as ever.
+pub(super) fn quiet_decoder_panics() {
+    let tell = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        let decoder = |l: &std::panic::Location<'_>| l.file().contains("rawloader");
+        if !info.location().is_some_and(decoder) {
+            tell(info);
+        }
+    }));
+}
+
+fn parse_crop(text: &str) -> std::result::Result<Crop, String> {
+    let numbers: Vec<usize> = text
+        .split(',')
+        .map(|n| n.trim().parse())
+        .collect::<std::result::Result<_, _>>()
+        .map_err(|_| "expected four whole numbers X,Y,W,H".to_owned())?;
+    match numbers[..] {
+        [x, y, width, height] => Ok(Crop {
+            x,
+            y,
+            width,
+            height,
+        }),
+        _ => Err(format!(
+            "expected four whole numbers X,Y,W,H, found {}",
+            numbers.len()
+        )),
+    }
+}
+
+fn frame(arguments: &FrameArguments) -> Result<Outcome> {
+    let frame = measure::decode_file(&arguments.file)?;
+    let whole = Crop {
+        x: 0,
+        y: 0,
+        width: frame.width,
+        height: frame.height,
+    };
+    let statistics = measure::frame_statistics(&frame, arguments.crop.unwrap_or(whole))
+        .context(|| arguments.file.display().to_string())?;
+    if arguments.json {
+        let value = frame_json(&arguments.file, &frame, &statistics);
+        println!("{}", pretty(&value)?);
+    } else {
+        print_frame(&frame, &statistics);
+    }
+    Ok(Outcome::Done)
+}
+
+fn pretty(value: &serde_json::Value) -> Result<String> {
+    serde_json::to_string_pretty(value).context(|| "JSON cannot be written")
+}
+
+fn frame_json(file: &Path, frame: &RawFrame, statistics: &FrameStatistics) -> serde_json::Value {
+    let [top, right, bottom, left] = frame.margins;
+    let channels = &statistics.channels;
+    json!({
+        "file": file.display().to_string(),
+        "make": frame.make,
+        "model": frame.model,
+        "visible": {"width": frame.width, "height": frame.height},
+        "full": {
+            "width": frame.width + left + right,
+            "height": frame.height + top + bottom,
+        },
+        "margins": {"top": top, "right": right, "bottom": bottom, "left": left},
+        "cfa": frame.cfa.to_string(),
+        "black": frame.black,
+        "white": frame.white,
+        "exposure_ms": frame.exposure_ms,
+        "iso": frame.iso,
+        "date_time": frame.date_time,
+        "crop": statistics.crop,
+        "channels": channels,
+        "min": channels.iter().map(|c| c.min).min(),
+        "max": channels.iter().map(|c| c.max).max(),
+        "clipped": channels.iter().map(|c| c.clipped).sum::<usize>(),
+    })
+}
+
+fn print_frame(frame: &RawFrame, statistics: &FrameStatistics) {
+    let [top, right, bottom, left] = frame.margins;
+    println!(
+        "{} {}: {} x {} visible pixels (margins top {top}, right {right}, bottom {bottom}, left {left}), {}, white {}",
+        frame.make, frame.model, frame.width, frame.height, frame.cfa, frame.white
+    );
+    if let Some(ms) = frame.exposure_ms {
+        println!("exposure {ms} ms");
+    }
+    let crop = statistics.crop;
+    println!(
+        "crop {},{},{},{}; raw values, black not subtracted:",
+        crop.x, crop.y, crop.width, crop.height
+    );
+    println!("channel         mean    min    max  clipped   pixels    black");
+    for c in &statistics.channels {
+        println!(
+            "{:<7} {:>12.4} {:>6} {:>6} {:>8} {:>8} {:>8}",
+            c.channel, c.mean, c.min, c.max, c.clipped, c.pixels, c.black
+        );
+    }
+}
+
+fn session(arguments: &SessionArguments) -> Result<Outcome> {
+    let session = SessionFolder::open(&arguments.folder)?;
+    let out = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| arguments.folder.join("measurements.csv"));
+    if out.exists() && !arguments.force {
+        return Err(Error::new(format!("{} exists already", out.display()))
+            .with_hint("give --force to replace it, or another file with --out"));
+    }
+    let terminal = Terminal::new()?;
+    let (measurements, report) =
+        measure::measure_session(&session, &MeasureOptions::default(), &terminal)?;
+    files::write_atomic(&out, measurements.to_csv()?.as_bytes())?;
+    tell(&terminal, &session, &report)?;
+    terminal.say(format!("wrote {}", out.display()));
+    if arguments.json {
+        println!("{}", pretty(&session_json(&measurements, &report))?);
+    } else {
+        print_table(&measurements, &report);
+    }
+    Ok(if report.outside_tolerance() {
+        Outcome::OutsideTolerance
+    } else {
+        Outcome::Done
+    })
+}
+
+/// What is not data: where the numbers come from, and what the operator should know.
+fn tell(terminal: &Terminal, session: &SessionFolder, report: &MeasureReport) -> Result<()> {
+    if report.synthetic {
+        terminal.say("synthetic session: no camera saw any cloth");
+    }
+    let darks = session.frames()?;
+    let darks = darks.iter().filter(|f| f.kind == FrameKind::Dark).count();
+    terminal.say(format!(
+        "{} frames ({darks} dark), {} hot pixels left out; noise from {}: {:.3} +- {:.3} (raw value)^2 per raw value",
+        report.frames,
+        report.hot_pixels,
+        report.noise.source,
+        report.noise.variance_per_signal,
+        report.noise.variance_per_signal_se
+    ));
+    let messages = report
+        .configurations
+        .iter()
+        .filter_map(|c| c.message.as_ref());
+    for message in report.warnings.iter().chain(messages) {
+        terminal.say(format!("warning: {message}"));
+    }
+    Ok(())
+}
+
+fn session_json(measurements: &Measurements, report: &MeasureReport) -> serde_json::Value {
+    let intensities: Vec<_> = measurements
+        .intensities
+        .iter()
+        .map(|i| {
+            json!({
+                "config": i.configuration.id,
+                "mean": i.mean,
+                "se": i.standard_error,
+            })
+        })
+        .collect();
+    json!({
+        "synthetic": report.synthetic,
+        "intensities": intensities,
+        "report": report,
+    })
+}
+
+fn print_table(measurements: &Measurements, report: &MeasureReport) {
+    if report.synthetic {
+        println!("# synthetic");
+    }
+    println!("# normalized radiance pi L / E_normal, +- standard error");
+    println!("config           r                   g                   b            exposures ms");
+    for c in &report.configurations {
+        let found = measurements
+            .intensities
+            .iter()
+            .find(|i| i.configuration.id == c.config);
+        let Some(i) = found else {
+            println!("{:>6}   not measured: {:?}", c.config, c.condition);
+            continue;
+        };
+        let cells: Vec<String> = i
+            .mean
+            .iter()
+            .zip(i.standard_error)
+            .map(|(m, s)| format!("{m:.5} +- {s:.5}"))
+            .collect();
+        let times: Vec<String> = c.exposures_ms.iter().map(f64::to_string).collect();
+        println!("{:>6}  {}  {}", c.config, cells.join("  "), times.join(" "));
+    }
 }

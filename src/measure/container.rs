@@ -39,20 +39,15 @@ pub(super) fn inspect(bytes: &[u8]) -> Result<Container> {
     let Some(tiff) = Tiff::open(bytes) else {
         return Ok(Container::Other);
     };
-    if bytes.get(8..10) == Some(b"CR") {
-        for directory in tiff.directories().unwrap_or_default() {
-            tiff.check_whole(&directory)?;
-        }
-        return Ok(Container::Other);
-    }
-    let is_dng = tiff.directories().map_or_else(
-        |_| tiff.first_tags().contains(&DNG_VERSION),
-        |all| all.iter().any(|d| d.find(DNG_VERSION).is_some()),
-    );
-    if !is_dng {
-        return Ok(Container::Other);
-    }
     let directories = tiff.directories()?;
+    if bytes.get(8..10) == Some(b"CR") {
+        for directory in &directories {
+            tiff.check_whole(directory)?;
+        }
+    }
+    if !directories.iter().any(|d| d.find(DNG_VERSION).is_some()) {
+        return Ok(Container::Other);
+    }
     Ok(Container::Dng(tiff.check_dng(&directories)?))
 }
 
@@ -125,18 +120,6 @@ impl<'a> Tiff<'a> {
             u32::from_le_bytes(b)
         };
         Some(value as usize)
-    }
-
-    /// The tags of the first directory, as far as they are there.
-    fn first_tags(&self) -> Vec<u16> {
-        let Some(at) = self.u32(4) else {
-            return Vec::new();
-        };
-        let count = self.u16(at).unwrap_or(0);
-        (0..count)
-            .map_while(|i| self.u16(at + 2 + 12 * i))
-            .map(|t| t as u16)
-            .collect()
     }
 
     fn directory(&self, at: usize) -> Result<(Directory, usize)> {

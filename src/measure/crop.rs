@@ -1,7 +1,7 @@
 //! One configuration: weighted means over the projected sample square, exposure by exposure, and what their variances
 //! are made of.
 //!
-//! With pixel weights `w_i` (covered fraction), the white fit `F_i` and the standard's normalized radiance `K`, exposure e
+//! With pixel weights `w_i` (area the pixel stands for), the white fit `F_i` and the standard's normalized radiance `K`, exposure e
 //! says
 //!
 //! ```text
@@ -9,12 +9,14 @@
 //! ```
 
 use super::frames::{Pixel, Region, Stack};
-use super::white::{TERMS, Terms, White};
+use super::white::{Terms, White};
 use std::collections::HashMap;
 
 /// One exposure of one configuration.
 pub(super) struct ExposureSums {
     pub(super) exposure_ms: f64,
+    /// How messages call its first frame.
+    pub(super) title: String,
     pub(super) channels: [ChannelSums; 3],
 }
 
@@ -50,25 +52,32 @@ pub(super) fn exposure_sums(region: &Region, stack: &Stack, white: &White) -> Ex
         sums.shot += g2 * signal / stack.repeats;
         sums.read += g2 * stack.dark_variance / stack.repeats;
         sums.dark += g2 * stack.dark_variance / stack.dark_count;
-        for k in 0..TERMS {
-            sums.white[k] += m * phi[k] / rate;
+        for (sum, term) in sums.white.iter_mut().zip(&phi) {
+            *sum += m * term / rate;
         }
     }
     ExposureSums {
         exposure_ms: t,
+        title: stack.title.clone(),
         channels,
     }
 }
 
 /// How far the mean over one channel's pixels may lie from the mean over the whole area, because a textured sample is
 /// seen through a filter on every second or fourth pixel only.
+///
+/// What disturbs a mean over every second pixel is texture at half a cycle per pixel: along x or y or both for red and
+/// blue, along both for green. Spectral densities there are estimated from differences, each passing 36 times the variance
+/// of texture that is uncorrelated from pixel to pixel and nothing of slow variations.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Texture {
-    /// For each channel: mean square of the mixed second difference at a step of two pixels, over 36.
-    nugget: [Differences; 3],
-    /// The same for the greens along the diagonals, which sees what a step of two pixels hides.
-    diagonal: Differences,
-    /// Variance of a channel mean per unit of pixel variance, for uncorrelated texture.
+    /// Per channel, around a quarter cycle per pixel along both x and y.
+    quarter: [Differences; 3],
+    /// Greens, around a quarter cycle along x or y alone (mean of both).
+    quarter_edge: [Differences; 2],
+    /// Greens, around half a cycle along x or y alone.
+    half_edge: Differences,
+    /// [`Region::sampling`].
     share: [f64; 3],
 }
 
@@ -88,76 +97,79 @@ impl Differences {
 
 impl Texture {
     /// Measures the texture of the crop on one exposure.
-    ///
-    /// The filter `(1, -2, 1) x (1, -2, 1)` passes 36 times the variance of texture that is uncorrelated from pixel to
-    /// pixel and nothing of slow variations.
     pub(super) fn measure(region: &Region, stack: &Stack, white: &White) -> Self {
-        let mut area = [0.0; 3];
-        let mut square_weights = [0.0; 3];
         let mut values = HashMap::with_capacity(region.pixels.len());
         for (pixel, &signal) in region.pixels.iter().zip(&stack.signal) {
-            area[pixel.channel] += pixel.weight;
-            square_weights[pixel.channel] += pixel.weight * pixel.weight;
-            if pixel.weight > 0.999 {
-                let rate = white.rate(pixel.channel, &white.terms(pixel.x, pixel.y));
-                let g = white.radiance[pixel.channel] / (rate * stack.exposure_ms);
-                values.insert((pixel.x, pixel.y), (g, signal));
-            }
+            let rate = white.rate(pixel.channel, &white.terms(pixel.x, pixel.y));
+            let g = white.radiance[pixel.channel] / (rate * stack.exposure_ms);
+            values.insert((pixel.x, pixel.y), (g, signal));
         }
         let read = stack.dark_variance * (1.0 / stack.repeats + 1.0 / stack.dark_count);
-        let differences = |channel: usize, u: (isize, isize), v: (isize, isize)| {
+        let differences = |channel: usize, along: [Filter; 2]| {
             let of_channel = region.pixels.iter().filter(|p| p.channel == channel);
-            mixed_differences(of_channel, &values, u, v, stack.repeats, read)
+            mean_differences(of_channel, &values, along, stack.repeats, read)
         };
-        // A lattice that holds the fraction f of the pixels misses 1 - f of uncorrelated texture's variance.
-        let missed = [0.75, 0.5, 0.75];
-        let share = std::array::from_fn(|c| {
-            let share = missed[c] * square_weights[c] / (area[c] * area[c]);
-            if area[c] > 0.0 { share } else { 0.0 }
-        });
+        const DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
+        const SUM: [f64; 3] = [1.0, 2.0, 1.0];
+        let (x, y) = ((2, 0), (0, 2));
         Self {
-            nugget: std::array::from_fn(|c| differences(c, (2, 0), (0, 2))),
-            diagonal: differences(1, (1, 1), (1, -1)),
-            share,
+            quarter: [0, 1, 2].map(|c| differences(c, [(x, DIFFERENCE), (y, DIFFERENCE)])),
+            quarter_edge: [[DIFFERENCE, SUM], [SUM, DIFFERENCE]]
+                .map(|[u, v]| differences(1, [(x, u), (y, v)])),
+            half_edge: differences(1, [((1, 1), DIFFERENCE), ((1, -1), DIFFERENCE)]),
+            share: region.sampling,
         }
     }
 
-    /// The variance of a channel's mean from sampling texture at the filter's pixels.
+    /// The variance of a channel's mean from sampling texture at the filter's pixels, for photon-transfer slope `a`.
     ///
-    /// Texture that vanishes at half a cycle per pixel does not disturb the mean; how much of the texture at a quarter
-    /// cycle is left there is seen in the greens and taken over to the other channels.
+    /// Half a cycle along both x and y cannot be seen in any channel: it is extrapolated as if the spectrum were a product
+    /// `A(f_x) A(f_y)`. The shape of the spectrum is taken from the greens, its size from each channel.
     pub(super) fn variance(&self, channel: usize, a: f64) -> f64 {
-        let green = self.nugget[1].texture(a);
-        let left = self.diagonal.texture(a);
-        let ratio = if green > left { left / green } else { 1.0 };
-        self.share[channel] * self.nugget[channel].texture(a) * ratio
+        let quarter = self.quarter[1].texture(a);
+        let quarter_edge =
+            0.5 * (self.quarter_edge[0].texture(a) + self.quarter_edge[1].texture(a));
+        let edge = self.half_edge.texture(a);
+        let product = edge * edge * quarter / (quarter_edge * quarter_edge);
+        let corner = if product < edge { product } else { edge };
+        let density = if channel == 1 {
+            corner
+        } else {
+            let shape = (2.0 * edge + corner) / (3.0 * quarter);
+            let shape = if shape < 4.0 { shape } else { 4.0 };
+            self.quarter[channel].texture(a) * shape
+        };
+        self.share[channel] * density
     }
 }
 
-fn mixed_differences<'a>(
+/// A step in x and y, and the factors at minus one, zero and one step.
+type Filter = ((isize, isize), [f64; 3]);
+
+/// The mean square of the product of two filters over all pixels whose nine neighbors are there.
+fn mean_differences<'a>(
     pixels: impl Iterator<Item = &'a Pixel>,
     values: &HashMap<(usize, usize), (f64, f64)>,
-    u: (isize, isize),
-    v: (isize, isize),
+    along: [Filter; 2],
     repeats: f64,
     read: f64,
 ) -> Differences {
+    let [(u, factors_u), (v, factors_v)] = along;
     let mut sums = Differences::default();
     let mut count = 0.0;
     for pixel in pixels {
         let mut difference = 0.0;
         let (mut shot, mut constant) = (0.0, 0.0);
         let mut whole = true;
-        for (i, factor_u) in [(-1, 1.0), (0, -2.0), (1, 1.0)] {
-            for (j, factor_v) in [(-1, 1.0), (0, -2.0), (1, 1.0)] {
+        for (i, factor_u) in (-1..=1).zip(factors_u) {
+            for (j, factor_v) in (-1..=1).zip(factors_v) {
                 let x = pixel.x.checked_add_signed(i * u.0 + j * v.0);
                 let y = pixel.y.checked_add_signed(i * u.1 + j * v.1);
-                let value = x.zip(y).and_then(|at| values.get(&at));
-                let Some(&(g, signal)) = value else {
+                let Some(&(g, signal)) = x.zip(y).and_then(|at| values.get(&at)) else {
                     whole = false;
                     continue;
                 };
-                let factor: f64 = factor_u * factor_v;
+                let factor = factor_u * factor_v;
                 difference += factor * g * signal;
                 shot += factor * factor * g * g * signal / repeats;
                 constant += factor * factor * g * g * read;

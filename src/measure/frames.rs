@@ -4,7 +4,7 @@ use super::dark::Darks;
 use super::noise::{Cell, Sample, pair_cells};
 use super::{RawFrame, decode};
 use crate::base::{Context, Error, Result, Watch};
-use crate::session::{CfaPattern, FrameKind, FrameRecord, Manifest, SessionFolder};
+use crate::session::{CfaPattern, Coverage, FrameKind, FrameRecord, Manifest, SessionFolder};
 use sha2::Digest;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -166,7 +166,7 @@ impl<'a> Loader<'a> {
 pub(super) struct Pixel {
     pub(super) x: usize,
     pub(super) y: usize,
-    /// Covered fraction.
+    /// Area it stands for, pixels.
     pub(super) weight: f64,
     /// 0 red, 1 green, 2 blue.
     pub(super) channel: usize,
@@ -177,32 +177,122 @@ pub(super) struct Pixel {
 /// The pixels something is measured on; hot pixels are left out.
 pub(super) struct Region {
     pub(super) pixels: Vec<Pixel>,
+    /// Variance of (channel mean - area mean) per unit of pixel variance of texture that is uncorrelated from pixel to
+    /// pixel, because a channel sees only its own pixels.
+    pub(super) sampling: [f64; 3],
     width: usize,
 }
 
 impl Region {
-    pub(super) fn new(
-        pixels: impl Iterator<Item = (usize, usize, f64)>,
+    /// All pixels of a box (left, top, right, bottom; one past the end), one weight for all.
+    pub(super) fn whole_box(
+        bounds: [usize; 4],
         width: usize,
         cfa: CfaPattern,
         hot: &[bool],
     ) -> Self {
-        let pixels = pixels
-            .filter(|&(x, y, weight)| weight > 0.0 && !hot[y * width + x])
-            .map(|(x, y, weight)| Pixel {
-                x,
-                y,
-                weight,
-                channel: cfa.channel(y, x),
-                place: CfaPattern::position(y, x),
-            })
+        let [left, top, right, bottom] = bounds;
+        let places = (top..bottom).flat_map(|y| (left..right).map(move |x| (x, y)));
+        let pixels = places
+            .filter(|&(x, y)| !hot[y * width + x])
+            .map(|(x, y)| pixel(cfa, x, y, 1.0))
             .collect();
-        Self { pixels, width }
+        Self {
+            pixels,
+            sampling: [0.0; 3],
+            width,
+        }
+    }
+
+    /// The pixels that carry a projected square. A channel's pixel stands for its own covered area and, at the places of
+    /// other channels around it, for its share in linear interpolation; so a channel mean is exact for every radiance
+    /// that is linear across the square, however few rows a grazing view leaves of it.
+    pub(super) fn covered(
+        coverage: &Coverage,
+        [width, height]: [usize; 2],
+        cfa: CfaPattern,
+        hot: &[bool],
+    ) -> Self {
+        let [left, top, right, bottom] = coverage.bounds();
+        let (x0, y0) = (left.saturating_sub(1), top.saturating_sub(1));
+        let (x1, y1) = ((right + 1).min(width), (bottom + 1).min(height));
+        let columns = x1 - x0;
+        let mut weights = vec![[0.0; 3]; columns * (y1 - y0)];
+        for (x, y, weight) in coverage.pixels() {
+            for channel in [0, 1, 2] {
+                let around = interpolation(cfa, channel, x, y)
+                    .filter(|&(x, y)| (x0..x1).contains(&x) && (y0..y1).contains(&y))
+                    .filter(|&(x, y)| !hot[y * width + x]);
+                let around: Vec<_> = around.collect();
+                for &(x, y) in &around {
+                    let share = weight / around.len() as f64;
+                    weights[(y - y0) * columns + x - x0][channel] += share;
+                }
+            }
+        }
+        let total = [0, 1, 2].map(|c| weights.iter().map(|w| w[c]).sum::<f64>());
+        let area = coverage.area();
+        // sum_p (W_p / sum W - w_p / sum w)^2 over all pixels, from sum W^2, sum W w and sum w^2.
+        let mut sampling =
+            [coverage.pixels().map(|(_, _, w)| w * w).sum::<f64>() / (area * area); 3];
+        for (x, y, w) in coverage.pixels() {
+            let own = weights[(y - y0) * columns + x - x0];
+            for channel in 0..3 {
+                sampling[channel] -= 2.0 * own[channel] * w / (total[channel] * area);
+            }
+        }
+        let mut pixels = Vec::new();
+        for (i, own) in weights.iter().enumerate() {
+            for (channel, &weight) in own.iter().enumerate().filter(|(_, w)| **w > 0.0) {
+                sampling[channel] += (weight / total[channel]).powi(2);
+                pixels.push(pixel(cfa, x0 + i % columns, y0 + i / columns, weight));
+            }
+        }
+        Self {
+            pixels,
+            sampling,
+            width,
+        }
     }
 
     fn indices(&self) -> impl Iterator<Item = usize> + '_ {
         self.pixels.iter().map(|p| p.y * self.width + p.x)
     }
+}
+
+fn pixel(cfa: CfaPattern, x: usize, y: usize, weight: f64) -> Pixel {
+    Pixel {
+        x,
+        y,
+        weight,
+        channel: cfa.channel(y, x),
+        place: CfaPattern::position(y, x),
+    }
+}
+
+/// The pixels of a channel whose plain mean is its linear interpolation at (x, y): the pixel itself, or its nearest
+/// neighbors of that channel (two or four). Places beyond the left and top edge are left out.
+fn interpolation(
+    cfa: CfaPattern,
+    channel: usize,
+    x: usize,
+    y: usize,
+) -> impl Iterator<Item = (usize, usize)> {
+    let has = |dx: usize, dy: usize| cfa.channel(y + dy, x + dx) == channel;
+    let offsets: &[(isize, isize)] = if has(0, 0) {
+        &[(0, 0)]
+    } else if has(1, 0) && has(0, 1) {
+        &[(-1, 0), (1, 0), (0, -1), (0, 1)]
+    } else if has(1, 0) {
+        &[(-1, 0), (1, 0)]
+    } else if has(0, 1) {
+        &[(0, -1), (0, 1)]
+    } else {
+        &[(-1, -1), (1, -1), (-1, 1), (1, 1)]
+    };
+    offsets
+        .iter()
+        .filter_map(move |&(dx, dy)| x.checked_add_signed(dx).zip(y.checked_add_signed(dy)))
 }
 
 /// All shots of one thing at one exposure.

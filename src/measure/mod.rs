@@ -9,14 +9,14 @@ mod dark;
 mod decode;
 mod frames;
 mod noise;
+mod report;
 mod run;
 mod statistics;
 mod white;
 
 pub use decode::{RawFrame, decode, decode_file};
 pub use noise::NoiseReport;
-pub use run::{
-    Budget, Condition, ConfigurationReport, MeasureOptions, MeasureReport, measure_session,
-};
+pub use report::{Budget, Condition, ConfigurationReport, MeasureOptions, MeasureReport};
+pub use run::measure_session;
 pub use statistics::{ChannelStatistics, Crop, FrameStatistics, frame_statistics};
 pub use white::WhiteReport;

@@ -4,125 +4,14 @@ use super::crop::{ChannelSums, ExposureSums, Texture, exposure_sums};
 use super::dark::Darks;
 use super::frames::{Loader, Region, read_stacks};
 use super::noise::{self, Cell, NoiseReport};
-use super::white::{TERMS, White, WhiteReport};
+use super::report::{Budget, Condition, ConfigurationReport, MeasureOptions, MeasureReport};
+use super::white::{TERMS, White};
 use crate::base::{Error, Result, Watch};
 use crate::session::{
     Configuration, Coverage, FrameKind, FrameRecord, Intensity, Manifest, Measurements, Projection,
     SessionFolder,
 };
 use rayon::prelude::*;
-use serde::Serialize;
-
-/// Choices of the measurement.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MeasureOptions {
-    /// An exposure counts only where no pixel of the crop reaches this fraction of the white level.
-    pub usable_fraction: f64,
-    /// A channel whose noise is a larger fraction of its mean than this is reported as under-exposed.
-    pub underexposed: f64,
-    /// A pixel whose dark stands this many standard deviations off is hot and left out.
-    pub hot_sigma: f64,
-}
-
-impl Default for MeasureOptions {
-    fn default() -> Self {
-        Self {
-            usable_fraction: 0.92,
-            underexposed: 0.05,
-            hot_sigma: 8.0,
-        }
-    }
-}
-
-/// How a configuration came out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Condition {
-    /// Measured.
-    Good,
-    /// Measured, but noise is a large part of it; left out when a mean is not positive.
-    UnderExposed,
-    /// Left out: every exposure has saturated pixels in the crop.
-    Saturated,
-    /// Left out: the journal has no frame of it.
-    NotCaptured,
-}
-
-/// Where one channel's standard error comes from: one standard deviation each, normalized radiance.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Budget {
-    /// Photon shot noise of the sample frames.
-    pub shot: f64,
-    /// Read noise (with dark current and quantization) of the sample frames.
-    pub read: f64,
-    /// Noise of the dark frames subtracted.
-    pub dark: f64,
-    /// Texture seen through the color filters' gaps.
-    pub sampling: f64,
-    /// Noise of the white frames.
-    pub white: f64,
-    /// Uncertainty of the standard's reflectance factor (common to all configurations).
-    pub reference: f64,
-}
-
-impl Budget {
-    /// The standard error: root of the sum of squares.
-    pub fn total(&self) -> f64 {
-        let other = self.sampling.powi(2) + self.white.powi(2) + self.reference.powi(2);
-        (self.noise().powi(2) + other).sqrt()
-    }
-
-    /// The part that more light or more frames would reduce.
-    fn noise(&self) -> f64 {
-        (self.shot.powi(2) + self.read.powi(2) + self.dark.powi(2)).sqrt()
-    }
-}
-
-/// How one configuration was measured.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ConfigurationReport {
-    /// The plan's number.
-    pub config: u32,
-    /// How it came out.
-    pub condition: Condition,
-    /// True when it is in the measurements.
-    pub measured: bool,
-    /// What the operator should know, in words.
-    pub message: Option<String>,
-    /// Exposures used, milliseconds.
-    pub exposures_ms: Vec<f64>,
-    /// Pixels the sample square covers.
-    pub area_px: f64,
-    /// Error budget, r, g, b.
-    pub budget: [Budget; 3],
-}
-
-/// What was found out beside the intensities.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct MeasureReport {
-    /// True when no camera saw any cloth.
-    pub synthetic: bool,
-    /// One entry per configuration of the plan, in its order.
-    pub configurations: Vec<ConfigurationReport>,
-    /// The white frames.
-    pub white: WhiteReport,
-    /// The noise.
-    pub noise: NoiseReport,
-    /// Pixels left out because their dark stands out.
-    pub hot_pixels: usize,
-    /// Frames read.
-    pub frames: usize,
-    /// What the operator should know beside the configurations' messages.
-    pub warnings: Vec<String>,
-}
-
-impl MeasureReport {
-    /// True when some configuration is missing or noisier than asked for.
-    pub fn outside_tolerance(&self) -> bool {
-        let good = |c: &ConfigurationReport| c.condition == Condition::Good;
-        !self.configurations.iter().all(good)
-    }
-}
 
 /// One configuration, read but not yet reduced.
 struct Reading {
@@ -168,13 +57,8 @@ pub fn measure_session(
         darks.find(frame)?;
     }
 
-    let bounds = union(&coverages);
-    let white_region = Region::new(
-        (bounds[1]..bounds[3]).flat_map(|y| (bounds[0]..bounds[2]).map(move |x| (x, y, 1.0))),
-        manifest.camera.width,
-        darks.cfa,
-        &darks.hot,
-    );
+    let bounds = union(&coverages, darks.size);
+    let white_region = Region::whole_box(bounds, darks.size[0], darks.cfa, &darks.hot);
     let (white_stacks, mut cells) = read_stacks(
         &loader,
         &of_kind(FrameKind::White),
@@ -256,17 +140,23 @@ fn check_records(records: &[FrameRecord], known: impl Fn(u32) -> bool) -> Result
     Ok(())
 }
 
-/// The box around all crops.
-fn union(coverages: &[Coverage]) -> [usize; 4] {
+/// The box around all crops and the pixels next to them.
+fn union(coverages: &[Coverage], [width, height]: [usize; 2]) -> [usize; 4] {
     let start = [usize::MAX, usize::MAX, 0, 0];
-    coverages.iter().map(Coverage::bounds).fold(start, |a, b| {
+    let [left, top, right, bottom] = coverages.iter().map(Coverage::bounds).fold(start, |a, b| {
         [
             a[0].min(b[0]),
             a[1].min(b[1]),
             a[2].max(b[2]),
             a[3].max(b[3]),
         ]
-    })
+    });
+    [
+        left.saturating_sub(1),
+        top.saturating_sub(1),
+        (right + 1).min(width),
+        (bottom + 1).min(height),
+    ]
 }
 
 fn read_configuration(
@@ -282,7 +172,7 @@ fn read_configuration(
         .iter()
         .filter(|r| r.kind == FrameKind::Sample && r.config == Some(configuration.id))
         .collect();
-    let region = Region::new(coverage.pixels(), darks.width, darks.cfa, &darks.hot);
+    let region = Region::covered(coverage, darks.size, darks.cfa, &darks.hot);
     let (stacks, cells) = read_stacks(loader, &own, &region, darks, options.usable_fraction)?;
     let usable = || stacks.iter().filter(|s| s.clipped == 0);
     let saturated = match (usable().next(), stacks.first()) {
@@ -302,7 +192,7 @@ fn read_configuration(
         area_px: coverage.area(),
         sums: usable().map(|s| exposure_sums(&region, s, white)).collect(),
         texture: usable()
-            .last()
+            .next_back()
             .map(|s| Texture::measure(&region, s, white))
             .unwrap_or_default(),
         cells,
@@ -394,7 +284,7 @@ fn reduce(
         return Ok((None, report));
     }
     let mut mean = [0.0; 3];
-    for channel in 0..3 {
+    for (channel, mean) in mean.iter_mut().enumerate() {
         let factor_se = manifest.white.reflectance_factor_se[channel]
             / manifest.white.reflectance_factor[channel];
         let sums: Vec<&ChannelSums> = reading.sums.iter().map(|s| &s.channels[channel]).collect();
@@ -402,7 +292,7 @@ fn reduce(
         let (value, mut budget) = combine(&sums, white, channel, a);
         budget.sampling = reading.texture.variance(channel, a).sqrt();
         budget.reference = value.abs() * factor_se;
-        mean[channel] = value;
+        *mean = value;
         report.budget[channel] = budget;
         if !value.is_finite() || !budget.total().is_finite() {
             return Err(Error::new(format!(
@@ -467,13 +357,14 @@ fn check_dark(reading: &Reading, channel: usize, a: f64) -> Result<()> {
         let deviation = sums.mean / variance(sums, a).sqrt();
         if deviation < -6.0 {
             return Err(Error::new(format!(
-                "configuration {}, {} ms: the dark frame is brighter than the sample frame ({:.1} standard errors, {})",
-                reading.configuration.id,
-                exposure.exposure_ms,
+                "{}: the dark frame is brighter than the sample frame ({:.1} standard errors, {})",
+                exposure.title,
                 -deviation,
                 ["red", "green", "blue"][channel]
             ))
-            .with_hint("was the light on for the dark frames, or did the sensor warm up? take darks again"));
+            .with_hint(
+                "was the light on for the dark frames, or did the sensor warm up? take darks again",
+            ));
         }
     }
     Ok(())

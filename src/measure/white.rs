@@ -7,7 +7,7 @@
 //! F(u, v) = b0 + b1 u + b2 v + b3 u^2 + b4 u v + b5 v^2 + b6 (u^2 + v^2)^2
 //! ```
 //!
-//! with (u, v) the offset from the image of the sample center over half the box's diagonal. A gradient of the light
+//! with (u, v) the offset from the image of the sample center over the distance to the box's farthest corner. A gradient of the light
 //! across the panel cannot be told from vignetting; shoot the panel with the light near its normal.
 
 use super::frames::{Region, Stack};
@@ -305,9 +305,9 @@ mod tests {
             }
         }
         let inverse = invert(&matrix).unwrap();
-        for i in 0..TERMS {
+        for (i, row) in matrix.iter().enumerate() {
             for j in 0..TERMS {
-                let product: f64 = (0..TERMS).map(|k| matrix[i][k] * inverse[k][j]).sum();
+                let product: f64 = row.iter().zip(&inverse).map(|(m, n)| m * n[j]).sum();
                 assert!(
                     (product - f64::from(u8::from(i == j))).abs() < 1e-8,
                     "{i} {j} {product}"
