@@ -250,7 +250,9 @@ impl Grbl {
     }
 
     pub(super) fn stop_in_order(&mut self) -> Result<StopReport, Fault> {
-        self.link.send(b"!")?;
+        if !self.link.halted {
+            self.link.send(b"!")?;
+        }
         let deadline = self.link.clock.now() + 15.0;
         let mut before = None;
         while self.link.clock.now() < deadline {
