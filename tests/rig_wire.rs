@@ -9,7 +9,8 @@ use goniofit::rig::{
 use std::path::PathBuf;
 
 fn recorded(name: &str) -> Vec<WireEntry> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/wire/{name}.jsonl"));
+    let path =
+        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/wire/{name}.jsonl"));
     parse_wire_log(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
@@ -30,7 +31,11 @@ fn start_up_text_is_not_a_reply_and_settings_are_read_back() {
 
     let (replay, grbl) = connected("grblhal_connect");
     replay.finish().unwrap();
-    assert!(grbl.firmware().starts_with("grblHAL 1.1f"), "{}", grbl.firmware());
+    assert!(
+        grbl.firmware().starts_with("grblHAL 1.1f"),
+        "{}",
+        grbl.firmware()
+    );
     assert_eq!(grbl.settings()[&134], 200.0);
     grbl.check_lamp_settings(1000.0).unwrap();
     assert!(grbl.check_lamp_settings(1001.0).is_err());
@@ -50,7 +55,10 @@ fn a_controlled_stop_waits_for_hold_0_and_keeps_the_position() {
 fn a_sticky_error_is_told_and_cleared_with_an_empty_line() {
     let (replay, mut grbl) = connected("grblhal_refused");
     let error = grbl.command("G90").unwrap_err().report();
-    assert!(error.contains("refused 'G90' with error:2") && error.contains("hint:"), "{error}");
+    assert!(
+        error.contains("refused 'G90' with error:2") && error.contains("hint:"),
+        "{error}"
+    );
     grbl.command("G21").unwrap();
     replay.finish().unwrap();
 }
@@ -59,7 +67,10 @@ fn a_sticky_error_is_told_and_cleared_with_an_empty_line() {
 fn silence_after_a_critical_alarm_is_ended_by_a_reset_and_the_late_ok_is_void() {
     let (replay, mut grbl) = connected("grbl_silent_alarm");
     let error = grbl.command("G0X-500").unwrap_err().report();
-    assert!(error.contains("ALARM:2") && error.contains("outside the controller's travel"), "{error}");
+    assert!(
+        error.contains("ALARM:2") && error.contains("outside the controller's travel"),
+        "{error}"
+    );
     let report = grbl.controlled_stop().unwrap();
     assert!(!report.position_kept);
     assert_eq!(report.state.as_deref(), Some("Alarm"));
@@ -70,7 +81,10 @@ fn silence_after_a_critical_alarm_is_ended_by_a_reset_and_the_late_ok_is_void() 
 fn an_ok_after_failed_homing_is_no_success() {
     let (replay, mut grbl) = connected("grbl_failed_homing");
     let error = grbl.home().unwrap_err().report();
-    assert!(error.contains("ALARM:8") && error.contains("limit switch"), "{error}");
+    assert!(
+        error.contains("ALARM:8") && error.contains("limit switch"),
+        "{error}"
+    );
     assert!(!grbl.is_homed());
     assert!(!grbl.controlled_stop().unwrap().position_kept);
     replay.finish().unwrap();
@@ -85,12 +99,21 @@ fn a_replay_shows_where_the_dialogue_diverges_and_what_was_not_used() {
             && error.contains("'G90\\n', board 'main' was sent 'G91\\n'"),
         "{error}"
     );
-    assert!(replay.finish().unwrap_err().report().contains("replay diverged at entry"));
+    assert!(
+        replay
+            .finish()
+            .unwrap_err()
+            .report()
+            .contains("replay diverged at entry")
+    );
 
     let (replay, grbl) = connected("grblhal_refused");
     drop(grbl);
     let error = replay.finish().unwrap_err().report();
-    assert!(error.contains("replay ended early: entry") && error.contains("'G90\\n'"), "{error}");
+    assert!(
+        error.contains("replay ended early: entry") && error.contains("'G90\\n'"),
+        "{error}"
+    );
 }
 
 /// Plays the host's bytes of a recording into a model and compares what it says with what the controller said.
@@ -121,7 +144,11 @@ fn model_says_the_same(name: &str, options: ModelOptions) {
 }
 
 fn as_recorded(flavor: Flavor) -> ModelOptions {
-    let pins = if flavor == Flavor::Grbl { "PXYZRHS" } else { "" };
+    let pins = if flavor == Flavor::Grbl {
+        "PXYZRHS"
+    } else {
+        ""
+    };
     ModelOptions {
         pins: pins.to_owned(),
         ..ModelOptions::factory(flavor)

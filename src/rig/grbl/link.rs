@@ -124,7 +124,10 @@ impl Link {
         let deadline = self.clock.now() + timeout;
         while let Some(reply) = self.next_reply(deadline)? {
             match reply {
-                Reply::Ok => return Ok(true),
+                Reply::Ok => {
+                    self.halted = false;
+                    return Ok(true);
+                }
                 Reply::Banner(_) => {
                     self.read_until_quiet(0.3)?;
                     return Ok(false);
