@@ -179,7 +179,7 @@ impl Grbl {
             ));
         }
         if let Some(percent) = status.overrides
-            && percent != [100.0; 3]
+            && percent.iter().any(|p| (p - 100.0).abs() > 0.5)
         {
             return Err(Fault::unexpected(
                 format!("overrides are {percent:?} percent, expected 100"),
