@@ -8,7 +8,7 @@
 
 use super::description::RigDescription;
 use super::kinematics::AxisAngles;
-use super::machine::{Connection, Prompt, Rig};
+use super::machine::{Connection, Opener, Prompt, Rig};
 use super::transport::Clock;
 use super::wire_log::{RecordingTransport, WireLog};
 use super::{Camera, Shot};
@@ -210,8 +210,6 @@ pub fn run(
         Err(error) => Err(capture.give_up(error, shots.len())),
     }
 }
-
-type Opener<'a> = Box<dyn FnMut(&super::Board) -> Result<Box<dyn super::Transport>> + 'a>;
 
 /// The connection's opener with every stream recorded.
 fn record<'a>(connection: &'a mut Connection, log: &WireLog) -> Opener<'a> {

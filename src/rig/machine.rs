@@ -7,10 +7,13 @@ use super::transport::{Clock, Transport};
 use crate::base::{Context, Error, Result};
 use std::sync::Arc;
 
+/// Opens the byte stream to a board.
+pub type Opener<'a> = Box<dyn FnMut(&Board) -> Result<Box<dyn Transport>> + 'a>;
+
 /// How a rig is reached: a byte stream per board, and time.
 pub struct Connection<'a> {
     /// Opens the stream to a board.
-    pub open: Box<dyn FnMut(&Board) -> Result<Box<dyn Transport>> + 'a>,
+    pub open: Opener<'a>,
     /// The time the boards live in.
     pub clock: Arc<dyn Clock>,
     /// Factor on settle and warm-up times: 1 for real hardware, less when the simulated time runs faster.

@@ -28,7 +28,7 @@ pub use description::{
 };
 pub use grbl::{Grbl, Status, StopReport, Target};
 pub use kinematics::AxisAngles;
-pub use machine::{Connection, Prompt, Rig};
+pub use machine::{Connection, Opener, Prompt, Rig};
 pub use model::{Fault, FaultKind, Flavor, GrblModel, ModelOptions};
 pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;

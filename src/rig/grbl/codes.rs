@@ -3,7 +3,7 @@
 /// Meaning of an error number and the action it calls for.
 pub(super) fn error_meaning(number: u8) -> (&'static str, &'static str) {
     match number {
-        1 | 2 | 3 => (
+        1..=3 => (
             "the controller did not understand the line",
             "is the firmware Grbl 1.1 or grblHAL, and the cable free of noise?",
         ),

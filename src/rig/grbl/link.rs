@@ -20,6 +20,8 @@ pub(super) struct Link {
     input: Vec<u8>,
     /// An alarm or a banner was seen since the last look.
     position_lost: bool,
+    /// An alarm or a banner came and no line was acknowledged since: nothing moves, outstanding `ok`s are void.
+    pub(super) halted: bool,
     /// The last work offset reported, for controllers that report work positions.
     work_offset: Option<Vec<f64>>,
 }
@@ -31,6 +33,7 @@ impl Link {
             clock,
             input: Vec::new(),
             position_lost: false,
+            halted: false,
             work_offset: None,
         }
     }
@@ -75,7 +78,10 @@ impl Link {
 
     fn noted(&mut self, reply: Reply) -> Reply {
         match &reply {
-            Reply::Alarm(_) | Reply::Banner(_) => self.position_lost = true,
+            Reply::Alarm(_) | Reply::Banner(_) => {
+                self.position_lost = true;
+                self.halted = true;
+            }
             Reply::Status(s) => {
                 self.position_lost |= s.is("Alarm");
                 if let Some(offset) = &s.work_offset {
@@ -118,7 +124,10 @@ impl Link {
         let deadline = self.clock.now() + timeout;
         while let Some(reply) = self.next_reply(deadline)? {
             match reply {
-                Reply::Ok => return Ok(true),
+                Reply::Ok => {
+                    self.halted = false;
+                    return Ok(true);
+                }
                 Reply::Banner(_) => {
                     self.read_until_quiet(0.3)?;
                     return Ok(false);
@@ -136,6 +145,7 @@ impl Link {
         attempts: u32,
     ) -> Result<Option<Status>, Fault> {
         for _ in 0..attempts {
+            while self.next_reply(self.clock.now())?.is_some() {}
             self.send(b"?")?;
             let deadline = self.clock.now() + timeout;
             while let Some(reply) = self.next_reply(deadline)? {
@@ -155,7 +165,9 @@ impl Link {
     /// What has arrived unasked; anything but reports and messages is a fault.
     fn drain(&mut self, during: &str) -> Result<(), Fault> {
         while let Some(reply) = self.next_reply(self.clock.now())? {
-            Self::unsolicited(reply, during)?;
+            if !(self.halted && reply == Reply::Ok) {
+                Self::unsolicited(reply, during)?;
+            }
         }
         Ok(())
     }
@@ -235,7 +247,10 @@ impl Link {
             }
             match self.next_reply(deadline.min(next_poll))? {
                 None => {}
-                Some(Reply::Ok) => return Ok(listing),
+                Some(Reply::Ok) => {
+                    self.halted = false;
+                    return Ok(listing);
+                }
                 Some(Reply::Error(number)) => {
                     self.clear_error()?;
                     return Err(Fault::Refused {

@@ -179,7 +179,7 @@ impl Grbl {
             ));
         }
         if let Some(percent) = status.overrides
-            && percent != [100.0; 3]
+            && percent.iter().any(|p| (p - 100.0).abs() > 0.5)
         {
             return Err(Fault::unexpected(
                 format!("overrides are {percent:?} percent, expected 100"),
@@ -250,7 +250,9 @@ impl Grbl {
     }
 
     pub(super) fn stop_in_order(&mut self) -> Result<StopReport, Fault> {
-        self.link.send(b"!")?;
+        if !self.link.halted {
+            self.link.send(b"!")?;
+        }
         let deadline = self.link.clock.now() + 15.0;
         let mut before = None;
         while self.link.clock.now() < deadline {
