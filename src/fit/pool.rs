@@ -17,8 +17,10 @@ use super::objective::{ChannelCorrelation, Objective, RenderPair, channel_correl
 use super::space::SearchSpace;
 use crate::scatter::{CHANNELS, Parameters};
 
-/// Relative error of a linear prediction over a distance d (weighted rms change of the means): `NONLINEARITY * d^2`.
-/// One half is the second-order term of an exponential response.
+/// Monte Carlo error of a number, relative to its configuration's brightness, at which it gets half of its weight.
+const SETTLED: f64 = 0.05;
+
+/// Size of the second-order term of a mean's response to a search coordinate: one half for an exponential.
 const NONLINEARITY: f64 = 0.5;
 
 /// One render, in search coordinates.
@@ -131,8 +133,11 @@ impl Pool {
     }
 
     /// The model for steps near `u`: renders count by the inverse of their mean squared error there, noise plus the
-    /// square of the linearization error. `metric` is an earlier curvature; without one only renders made at `u` count.
-    pub(super) fn model(&self, u: &[f64], metric: Option<&Matrix>) -> LinearModel {
+    /// square of the linearization error. `jacobian` is an earlier average; without one only renders made at `u` count.
+    ///
+    /// Search coordinates are logarithmic, so each coordinate is taken to act on its part of a mean like an
+    /// exponential: the second-order error over a distance d is `NONLINEARITY sum_j |J_mj| d_j^2`.
+    pub(super) fn model(&self, u: &[f64], jacobian: Option<&Matrix>) -> LinearModel {
         let n = self.weights.len() as f64;
         let variances = self.path_variances();
         let mut v: Vec<f64> = self
@@ -144,23 +149,64 @@ impl Pool {
                     .map(|m| self.weights[m] * variances[m] / record.paths[m / CHANNELS])
                     .sum::<f64>()
                     / n;
-                let offset: Vec<f64> = record.u.iter().zip(u).map(|(a, b)| a - b).collect();
-                let here = offset.iter().all(|d| d.abs() < 1e-12);
-                let squared_distance = match metric {
+                let squares: Vec<f64> = record
+                    .u
+                    .iter()
+                    .zip(u)
+                    .map(|(a, b)| (a - b).powi(2))
+                    .collect();
+                let here = squares.iter().all(|d| *d < 1e-24);
+                let bias = match jacobian {
                     _ if here => 0.0,
-                    Some(h) => h.form(&offset, &offset).max(0.0) / n,
                     None => return 0.0,
+                    Some(jacobian) => {
+                        let error = |m: usize| -> f64 {
+                            jacobian
+                                .row(m)
+                                .iter()
+                                .zip(&squares)
+                                .map(|(j, d)| j.abs() * d)
+                                .sum::<f64>()
+                        };
+                        let sum: f64 = (0..self.weights.len())
+                            .map(|m| self.weights[m] * error(m).powi(2))
+                            .sum();
+                        NONLINEARITY.powi(2) * sum / n
+                    }
                 };
-                1.0 / (noise + (NONLINEARITY * squared_distance).powi(2)).max(1e-300)
+                1.0 / (noise + bias).max(1e-300)
             })
             .collect();
         let sum: f64 = v.iter().sum();
         v.iter_mut().for_each(|x| *x /= sum);
+        if std::env::var_os("DIAG").is_some() {
+            eprintln!("  v {v:.3?}");
+        }
         self.assemble(&v)
+    }
+
+    /// The objective's weights, less for numbers whose Monte Carlo error is still large:
+    /// `w_m / (1 + w_m var_m / SETTLED^2)`. They tend to the objective's own as paths grow.
+    fn weights_for_now(&self, v: &[f64]) -> Vec<f64> {
+        let variances = self.path_variances();
+        (0..self.weights.len())
+            .map(|m| {
+                let i = m / CHANNELS;
+                let per_path: f64 = self
+                    .records
+                    .iter()
+                    .zip(v)
+                    .map(|(r, v)| v * v / r.paths[i])
+                    .sum();
+                let w = self.weights[m];
+                w / (1.0 + w * variances[m] * per_path / SETTLED.powi(2))
+            })
+            .collect()
     }
 
     /// The model with the given weights over records.
     fn assemble(&self, v: &[f64]) -> LinearModel {
+        let weights = self.weights_for_now(v);
         let (n, p) = (self.weights.len(), self.records[0].u.len());
         let mut center = vec![0.0; p];
         let mut residual = vec![0.0; n];
@@ -169,7 +215,7 @@ impl Pool {
         let mut self_curvature = Matrix::zeros(p, p);
         let mut curvature_noise = vec![0.0; p];
         for (record, &v) in self.records.iter().zip(v).filter(|(_, v)| **v > 0.0) {
-            let w = &self.weights;
+            let w = &weights;
             add(&mut center, v, &record.u);
             add(&mut residual, v, &record.residual);
             jacobian.add_scaled(v, &record.jacobian);
@@ -185,17 +231,17 @@ impl Pool {
             }
         }
         let pairs = 1.0 - v.iter().map(|v| v * v).sum::<f64>();
-        let mut gradient = jacobian.weighted_transpose_times(&self.weights, &residual);
+        let mut gradient = jacobian.weighted_transpose_times(&weights, &residual);
         add(&mut gradient, -1.0, &self_gradient);
         gradient.iter_mut().for_each(|g| *g /= pairs);
-        let mut curvature = jacobian.weighted_gram(&self.weights, &jacobian);
+        let mut curvature = jacobian.weighted_gram(&weights, &jacobian);
         curvature.add_scaled(-1.0, &self_curvature);
         curvature.scale(1.0 / pairs);
         LinearModel {
-            monte_carlo: self.gradient_noise(v, &jacobian, &residual),
+            monte_carlo: self.gradient_noise(v, &weights, &jacobian, &residual),
             measurement: {
                 let squared: Vec<f64> = (0..n)
-                    .map(|m| (self.weights[m] * self.measured_se[m]).powi(2))
+                    .map(|m| (weights[m] * self.measured_se[m]).powi(2))
                     .collect();
                 jacobian.weighted_gram(&squared, &jacobian)
             },
@@ -204,13 +250,19 @@ impl Pool {
             curvature: curvature.symmetrized(),
             curvature_noise,
             jacobian,
-            weights: self.weights.clone(),
+            weights,
         }
     }
 
     /// Covariance of the weighted gradient, to first order in the noise: `J' W S W J` of the means' noise (channels of a
     /// configuration correlated) plus the Jacobian's own noise times the residual.
-    fn gradient_noise(&self, v: &[f64], jacobian: &Matrix, residual: &[f64]) -> Matrix {
+    fn gradient_noise(
+        &self,
+        v: &[f64],
+        weights: &[f64],
+        jacobian: &Matrix,
+        residual: &[f64],
+    ) -> Matrix {
         let p = jacobian.n_columns();
         let rho = self.channel_correlation();
         let variances = self.path_variances();
@@ -226,7 +278,7 @@ impl Pool {
                 for d in 0..CHANNELS {
                     let (m, k) = (CHANNELS * i + c, CHANNELS * i + d);
                     let s = per_path * (variances[m] * variances[k]).sqrt();
-                    let s = s * rho[c][d] * self.weights[m] * self.weights[k];
+                    let s = s * rho[c][d] * weights[m] * weights[k];
                     for j in 0..p {
                         for l in 0..p {
                             noise[(j, l)] += jacobian[(m, j)] * s * jacobian[(k, l)];
@@ -234,7 +286,7 @@ impl Pool {
                     }
                 }
                 let m = CHANNELS * i + c;
-                let wr = (self.weights[m] * residual[m]).powi(2);
+                let wr = (weights[m] * residual[m]).powi(2);
                 for j in 0..p {
                     let own = self
                         .records
@@ -246,6 +298,31 @@ impl Pool {
             }
         }
         noise
+    }
+
+    pub(super) fn diag(&self, model: &LinearModel, base: &[f64], next: &[f64]) {
+        let g = model.gradient_at(base, &model.curvature);
+        for (value, e) in eigen(&model.curvature) {
+            let unseen: f64 = e
+                .iter()
+                .zip(&model.curvature_noise)
+                .map(|(e, b)| e * e * b)
+                .sum();
+            let mc = model.monte_carlo.form(&e, &e).sqrt();
+            let ge: f64 = g.iter().zip(&e).map(|(a, b)| a * b).sum();
+            let st: f64 = next
+                .iter()
+                .zip(base)
+                .zip(&e)
+                .map(|((a, b), e)| (a - b) * e)
+                .sum();
+            eprintln!(
+                "   lambda {value:9.5} unseen {unseen:9.5} mc/0.4 {:9.5} newton {:8.4} +- {:8.4} step {st:8.4}  e {e:5.2?}",
+                mc / 0.4,
+                -ge / value,
+                mc / value.abs()
+            );
+        }
     }
 
     /// Variance of one path's contribution to each number, pooled over all renders.
@@ -320,21 +397,24 @@ impl LinearModel {
             .collect()
     }
 
-    /// The curvature made safely positive for a step: along each eigenvector at least so large that Monte Carlo noise
-    /// alone moves a step by no more than `noise_step`.
-    pub(super) fn damped_curvature(&self, noise_step: f64) -> Matrix {
+    /// The curvature made safely positive for a step. Along an eigenvector of eigenvalue l, with unseen curvature b and
+    /// gradient variance v, it is `l [1 + (2 b / l)^2 + v / (l reach)^2]`: a step is shortened as the best linear guess
+    /// of a distance of size `reach` would be, and a direction lost in noise keeps its place.
+    pub(super) fn damped_curvature(&self, reach: f64) -> Matrix {
         let pairs = eigen(&self.curvature);
         let largest = pairs.iter().fold(0.0_f64, |m, (value, _)| m.max(*value));
         let p = self.curvature.n_rows();
         let mut damped = Matrix::zeros(p, p);
         for (value, e) in &pairs {
-            let noise = self.monte_carlo.form(e, e).max(0.0).sqrt() / noise_step;
+            let variance = self.monte_carlo.form(e, e).max(0.0);
             let unseen: f64 = e
                 .iter()
                 .zip(&self.curvature_noise)
                 .map(|(e, b)| e * e * b)
                 .sum();
-            let safe = value.max(noise).max(unseen).max(1e-7 * largest).max(1e-12);
+            let l = value.max(0.1 * unseen).max(1e-9 * largest).max(1e-15);
+            let noise = (2.0 * unseen / l).powi(2) + variance / (l * reach).powi(2);
+            let safe = l.max(unseen) * (1.0 + noise);
             for i in 0..p {
                 for j in 0..p {
                     damped[(i, j)] += safe * e[i] * e[j];

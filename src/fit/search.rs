@@ -19,8 +19,8 @@ use crate::render::{Effort, Scene};
 const SEARCH_SHARE: f64 = 0.75;
 /// Farthest a coordinate may move in one step, at first, at least and at most.
 const TRUST: (f64, f64, f64) = (0.8, 0.05, 1.5);
-/// Largest step Monte Carlo noise alone may cause in a coordinate.
-const NOISE_STEP: f64 = 0.4;
+/// How far from the minimum a coordinate is thought to be when a step is weighed against its noise.
+const REACH: f64 = 0.6;
 /// Growth of the path count once a step is smaller than twice its noise.
 const GROWTH: f64 = 1.5;
 /// Camera paths of the first pair, per configuration.
@@ -228,6 +228,13 @@ pub(super) fn search(
             accepted: !worse,
         });
         shares = pool.shares(&model, Some(&inverse_curvature));
+        if std::env::var_os("DIAG").is_some() {
+            eprintln!(
+                "it {index} trust {trust:.2} moved {moved:.4} noise {noise:.4} shares {:.1?}",
+                shares
+            );
+            pool.diag(&model, &base, &next);
+        }
         let settled = index >= 4 && moved <= 2.0 * noise && !worse;
         let enough = match options.budget.accuracy {
             Some(accuracy) if noise <= accuracy => Some(Stop::Accuracy),
@@ -285,12 +292,9 @@ fn minimize(
     let mut target = base.to_vec();
     let mut model = pool.model(base, None);
     for _ in 0..3 {
-        let metric = model
-            .jacobian
-            .weighted_gram(&model.weights, &model.jacobian);
-        model = pool.model(&target, Some(&metric));
-        let curvature = model.damped_curvature(NOISE_STEP);
-        let gradient = model.gradient_at(base, &curvature);
+        model = pool.model(&target, Some(&model.jacobian));
+        let curvature = model.damped_curvature(REACH);
+        let gradient = model.gradient_at(base, &model.curvature);
         let lower: Vec<f64> = (0..space.len())
             .map(|j| (space.lower()[j] - base[j]).max(-trust))
             .collect();
@@ -301,7 +305,7 @@ fn minimize(
         let moved: Vec<f64> = base.iter().zip(&step).map(|(b, s)| b + s).collect();
         target = space.clamped(&moved);
     }
-    let curvature = model.damped_curvature(NOISE_STEP);
+    let curvature = model.damped_curvature(REACH);
     (target, model, curvature)
 }
 
