@@ -20,8 +20,8 @@ use crate::scatter::{CHANNELS, Parameters};
 /// Monte Carlo error of a number, relative to its configuration's brightness, at which it gets half of its weight.
 const SETTLED: f64 = 0.05;
 
-/// Size of the second-order term of a mean's response to a search coordinate: one half for an exponential.
-const NONLINEARITY: f64 = 0.5;
+/// Size of the second-order term of a mean by a search coordinate, relative to the first: one half for an exponential,
+const NONLINEARITY: f64 = 1.0;
 
 /// One render, in search coordinates.
 #[derive(Debug, Clone)]
@@ -83,6 +83,11 @@ impl Pool {
             records: Vec::new(),
             differences: Vec::new(),
         }
+    }
+
+    /// The objective's weight of each number.
+    pub(super) fn weights(&self) -> &[f64] {
+        &self.weights
     }
 
     fn n_configurations(&self) -> usize {
@@ -443,12 +448,19 @@ impl LinearModel {
     }
 
     /// The weighted rms change of the fitted means per number that gradient noise of covariance `noise` causes through
-    /// the step `H^-1`: `sqrt(tr(H^-1 noise) / n)` (with `H = J'WJ`, `tr(W J H^-1 noise H^-1 J') = tr(H^-1 noise)`).
-    pub(super) fn fitted_rms(&self, inverse_curvature: &Matrix, noise: &Matrix) -> f64 {
+    /// the step `H^-1`: `sqrt(tr(J' W J H^-1 noise H^-1) / n)`, with the objective's own weights W.
+    pub(super) fn fitted_rms(
+        &self,
+        inverse_curvature: &Matrix,
+        noise: &Matrix,
+        objective_weights: &[f64],
+    ) -> f64 {
         let p = noise.n_rows();
+        let gram = self.jacobian.weighted_gram(objective_weights, &self.jacobian);
+        let columns = |j: usize| -> Vec<f64> { inverse_curvature.row(j).to_vec() };
         let trace: f64 = (0..p)
             .flat_map(|i| (0..p).map(move |j| (i, j)))
-            .map(|(i, j)| inverse_curvature[(i, j)] * noise[(j, i)])
+            .map(|(i, j)| gram[(i, j)] * noise.form(&columns(i), &columns(j)))
             .sum();
         (trace.max(0.0) / self.weights.len() as f64).sqrt()
     }

@@ -209,8 +209,8 @@ pub(super) fn search(
         let step: Vec<f64> = next.iter().zip(&base).map(|(a, b)| a - b).collect();
         let n = objective.n_numbers() as f64;
         let moved = (curvature.form(&step, &step) / n).sqrt();
-        let noise = model.fitted_rms(&inverse_curvature, &model.monte_carlo);
-        let measured = model.fitted_rms(&inverse_curvature, &model.measurement);
+        let noise = model.fitted_rms(&inverse_curvature, &model.monte_carlo, pool.weights());
+        let measured = model.fitted_rms(&inverse_curvature, &model.measurement, pool.weights());
         if !worse && step.iter().any(|s| s.abs() > 0.99 * trust) {
             trust = (1.3 * trust).min(TRUST.2);
         }

@@ -87,7 +87,7 @@ fn newton_move(problem: &Problem<'_>, found: &Found, pair: &RenderPair) -> (f64,
     );
     let n = objective.n_numbers() as f64;
     let noise = inverse(&found.curvature).map_or(0.0, |inverse| {
-        fresh.fitted_rms(&inverse, &fresh.monte_carlo)
+        fresh.fitted_rms(&inverse, &fresh.monte_carlo, pool.weights())
     });
     (
         (found.curvature.form(&step, &step) / n).sqrt(),
