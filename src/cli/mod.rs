@@ -5,6 +5,7 @@
 // Printing is this room's work.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod inputs;
 mod terminal;
 
 mod capture;

@@ -3,6 +3,19 @@
 //! Knows neither files nor fitting. A [`Scene`] is anything that can estimate the mean normalized radiance of a list of
 //! configurations, with standard errors and derivatives by parameter name.
 
+mod estimate;
+mod geometry;
+#[cfg(test)]
+mod laws;
+mod light;
+mod path;
+mod picture;
+mod scene;
+
+pub use light::LightShape;
+pub use picture::TilePicture;
+pub use scene::{FiberScene, FiberSceneOptions};
+
 use crate::base::{Result, Watch};
 use crate::scatter::{Model, Parameters};
 use crate::session::Configuration;
@@ -12,9 +25,10 @@ use crate::session::Configuration;
 pub enum Effort {
     /// Camera paths for each configuration.
     Paths(u64),
-    /// Camera paths in all, shared out in proportion to `shares` (one per configuration, positive).
+    /// Camera paths in all, shared out in proportion to `shares` (one per configuration, positive). Configurations that
+    /// share their camera paths count once, with the largest of their shares.
     Total {
-        /// Camera paths summed over configurations.
+        /// Camera paths traced.
         paths: u64,
         /// Relative number of paths per configuration.
         shares: Vec<f64>,
@@ -76,8 +90,8 @@ pub trait Scene: Sync {
     /// of threads.
     ///
     /// # Errors
-    /// When the parameters have no meaning for the model, the work is zero, or `watch` cancels before every
-    /// configuration has an estimate.
+    /// When the parameters have no meaning for the model, the work is too little for a standard error, a path gave a
+    /// number that is not finite, or `watch` cancels.
     fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates>;
 }
 

@@ -1,6 +1,49 @@
 //! Axes, light, camera over real protocols, or a replay; the one loop that moves anything.
 //!
 //! Knows neither models nor renders: a virtual camera gets its picture from outside, as a trait object.
+//!
+//! ```text
+//! capture (the loop) -> machine (angles, all boards) -> grbl (one board) -> Transport + Clock
+//!                                                           serial port | model in process | replay of a wire log
+//! ```
+
+pub mod capture;
+mod description;
+mod grbl;
+mod kinematics;
+mod machine;
+mod model;
+mod replay;
+mod replay_camera;
+mod serial;
+pub mod simulated;
+mod simulator;
+mod transport;
+#[cfg(feature = "uvc")]
+mod uvc;
+mod wire_log;
+
+pub use description::{
+    Axis, AxisName, Board, CameraDescription, Homing, Lamp, Light, MotorAxis, RigDescription, White,
+};
+pub use grbl::{Grbl, Status, StopReport, Target};
+pub use kinematics::AxisAngles;
+pub use machine::{Connection, Prompt, Rig};
+pub use model::{Fault, FaultKind, Flavor, GrblModel, ModelOptions};
+pub use replay::{Replay, ReplayTransport};
+pub use replay_camera::ReplayCamera;
+pub use serial::SerialTransport;
+pub use simulator::{ModelTransport, PtySimulator, SharedModel};
+pub use transport::{Clock, SystemClock, Transport, VirtualClock};
+#[cfg(feature = "uvc")]
+pub use uvc::UvcCamera;
+pub use wire_log::{
+    RecordingTransport, Way, WireEntry, WireLog, parse_wire_log, read_wire_log, show_bytes,
+};
+
+pub mod virtual_camera;
+
+pub use virtual_camera::{Appearance, SensorModel, VirtualCamera, white_radiance};
 
 use crate::base::Result;
 use crate::session::{CameraFacts, Configuration, FrameKind};

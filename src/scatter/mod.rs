@@ -5,8 +5,14 @@
 //! in the fiber frame (x along the fiber) and point away from the fiber; `wi` toward the light, `wo` toward the
 //! camera. Models need not be reciprocal, so the order matters.
 
+pub mod albedo;
+mod direction;
+pub mod khungurn;
+pub mod normalizer;
 mod parameters;
 
+pub use direction::{fiber_direction, longitudinal_angle};
+pub use khungurn::{Khungurn, KhungurnScattering};
 pub use parameters::{ParameterInfo, Parameters, Unit};
 
 use crate::base::{Error, Result};
@@ -69,7 +75,7 @@ pub trait Model: Send + Sync {
 
 /// All models, in the order `--help` lists them.
 pub fn models() -> &'static [&'static dyn Model] {
-    &[]
+    &[&Khungurn]
 }
 
 /// The model with this name.

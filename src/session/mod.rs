@@ -12,13 +12,17 @@
 //! measurements.csv    the intensities, once measured
 //! ```
 
+pub mod dng;
 pub mod files;
 mod journal;
 mod manifest;
 mod measurements;
 mod plan;
+mod projection;
 
+pub use dng::{BitDepth, CfaPattern, DngImage, write_dng};
 pub use journal::{Entry, Event, FrameKind, FrameRecord, Journal, read_journal};
 pub use manifest::{CameraFacts, Manifest, SessionFolder, WhiteReference};
 pub use measurements::{Intensity, Measurements};
 pub use plan::{Configuration, Plan};
+pub use projection::{Coverage, Projection, RowSpan};

@@ -1,0 +1,49 @@
+//! What several commands read the same way.
+
+use crate::base::{Context, Error, Result};
+use crate::scatter::{Model, Parameters};
+use crate::session::files;
+use std::path::Path;
+
+/// Reads a parameter file (JSON) for `model`.
+pub(crate) fn parameters(path: &Path, model: &dyn Model) -> Result<Parameters> {
+    let what = || format!("parameters {}", path.display());
+    let object = serde_json::from_str(&files::read_text(path)?).context(what)?;
+    Parameters::from_json(model, &object).context(what)
+}
+
+/// Parses `1%` or `0.01`.
+pub(crate) fn fraction(text: &str) -> Result<f64, String> {
+    let (number, scale) = text
+        .strip_suffix('%')
+        .map_or((text, 1.0), |n| (n.trim_end(), 0.01));
+    match number.parse::<f64>() {
+        Ok(x) if (x * scale) > 0.0 && (x * scale) < 1.0 => Ok(x * scale),
+        _ => Err(format!(
+            "'{text}' is not a fraction between 0 and 1; write 1% or 0.01"
+        )),
+    }
+}
+
+/// Fails when `path` exists and `force` was not given.
+pub(crate) fn refuse_overwriting(path: &Path, force: bool) -> Result<()> {
+    if path.exists() && !force {
+        return Err(Error::new(format!("{} exists already", path.display()))
+            .with_hint("choose another name, or say --force to replace it"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fractions_are_percent_or_plain() {
+        assert!((fraction("1%").unwrap() - 0.01).abs() < 1e-15);
+        assert!((fraction("0.02").unwrap() - 0.02).abs() < 1e-15);
+        for bad in ["0", "100%", "nan", "-1%", "1 percent", ""] {
+            assert!(fraction(bad).is_err(), "{bad}");
+        }
+    }
+}

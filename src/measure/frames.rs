@@ -1,0 +1,282 @@
+//! The frames of a session, each checked against the journal before anything is read off it.
+
+use super::dark::Darks;
+use super::noise::{Cell, Sample, pair_cells};
+use super::{RawFrame, decode};
+use crate::base::{Context, Error, Result, Watch};
+use crate::session::{CfaPattern, FrameKind, FrameRecord, Manifest, SessionFolder};
+use sha2::Digest;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// True when two exposure times are the same setting (they are read back from the camera: to 0.1 %).
+pub(super) fn same_exposure(a: f64, b: f64) -> bool {
+    (a / b - 1.0).abs() < 1e-3
+}
+
+/// How messages call a frame.
+pub(super) fn title(record: &FrameRecord) -> String {
+    let place = match (record.kind, record.config) {
+        (FrameKind::Sample, Some(id)) => format!("configuration {id}"),
+        (FrameKind::Sample, None) => "no configuration".to_owned(),
+        (FrameKind::Dark, _) => "dark".to_owned(),
+        (FrameKind::White, _) => "white".to_owned(),
+    };
+    format!("frame {} ({place}, {} ms)", record.file, record.exposure_ms)
+}
+
+/// What must not change within a session.
+#[derive(PartialEq)]
+struct Camera {
+    make: String,
+    model: String,
+    iso: Option<u32>,
+    cfa: CfaPattern,
+    white: u16,
+}
+
+/// Reads frames, and counts them.
+pub(super) struct Loader<'a> {
+    session: &'a SessionFolder,
+    manifest: &'a Manifest,
+    watch: &'a dyn Watch,
+    total: u64,
+    done: AtomicU64,
+    camera: OnceLock<(Camera, String)>,
+}
+
+impl<'a> Loader<'a> {
+    /// Checks that every journaled frame is there.
+    pub(super) fn new(
+        session: &'a SessionFolder,
+        manifest: &'a Manifest,
+        records: &[FrameRecord],
+        watch: &'a dyn Watch,
+    ) -> Result<Self> {
+        for record in records {
+            if !session.frame_path(&record.file).is_file() {
+                return Err(Error::new(format!(
+                    "{} is missing: {} is not there",
+                    title(record),
+                    session.frame_path(&record.file).display()
+                ))
+                .with_hint("restore the file from a copy, or capture again into a new folder"));
+            }
+            if !(1e-6..1e9).contains(&record.exposure_ms) {
+                return Err(Error::new(format!(
+                    "{}: the journal states an exposure of {} ms",
+                    title(record),
+                    record.exposure_ms
+                )));
+            }
+        }
+        Ok(Self {
+            session,
+            manifest,
+            watch,
+            total: records.len() as u64,
+            done: AtomicU64::new(0),
+            camera: OnceLock::new(),
+        })
+    }
+
+    /// Reads one frame: hash, size, exposure and camera must be as stated.
+    pub(super) fn load(&self, record: &FrameRecord) -> Result<RawFrame> {
+        if self.watch.cancelled() {
+            return Err(Error::new("measuring was interrupted"));
+        }
+        let bytes = std::fs::read(self.session.frame_path(&record.file))
+            .context(|| format!("{} cannot be read", title(record)))?;
+        let hash = sha2::Sha256::digest(&bytes);
+        let hash: String = hash.iter().map(|b| format!("{b:02x}")).collect();
+        if hash != record.sha256 {
+            return Err(Error::new(format!(
+                "{} is not the file that was captured: its SHA-256 is {hash}, the journal has {}",
+                title(record),
+                record.sha256
+            ))
+            .with_hint("the file was changed or torn; restore it from a copy"));
+        }
+        let frame = decode(&bytes).context(|| format!("{} cannot be decoded", title(record)))?;
+        self.check(record, &frame)?;
+        let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+        self.watch.progress("measuring frames", done, self.total);
+        Ok(frame)
+    }
+
+    fn check(&self, record: &FrameRecord, frame: &RawFrame) -> Result<()> {
+        let facts = &self.manifest.camera;
+        if (frame.width, frame.height) != (facts.width, facts.height) {
+            return Err(Error::new(format!(
+                "{} has {} x {} pixels, the session's camera has {} x {}",
+                title(record),
+                frame.width,
+                frame.height,
+                facts.width,
+                facts.height
+            ))
+            .with_hint("the camera's image size was changed during the session"));
+        }
+        // Cameras round nominal times (1/60 s for 1/64 s), so only gross differences are faults.
+        if let Some(ms) = frame.exposure_ms
+            && !(0.85..1.18).contains(&(ms / record.exposure_ms))
+        {
+            return Err(Error::new(format!(
+                "{} says by EXIF that it was exposed {ms} ms",
+                title(record)
+            ))
+            .with_hint("journal and file do not belong together, or the camera was on automatic"));
+        }
+        let camera = Camera {
+            make: frame.make.clone(),
+            model: frame.model.clone(),
+            iso: frame.iso,
+            cfa: frame.cfa,
+            white: frame.white,
+        };
+        let Some((first, name)) = self.camera.get() else {
+            // The first frame is read before any thread starts.
+            let _ = self.camera.set((camera, title(record)));
+            return Ok(());
+        };
+        if *first == camera {
+            return Ok(());
+        }
+        let iso = |i: Option<u32>| i.map_or("unknown".to_owned(), |i| i.to_string());
+        Err(Error::new(format!(
+            "{} was taken with {} {}, ISO {}, pattern {}, white level {}; {name} with {} {}, ISO {}, pattern {}, white level {}",
+            title(record),
+            camera.make,
+            camera.model,
+            iso(camera.iso),
+            camera.cfa,
+            camera.white,
+            first.make,
+            first.model,
+            iso(first.iso),
+            first.cfa,
+            first.white
+        ))
+        .with_hint("all frames of a session must come from one camera at one sensitivity"))
+    }
+}
+
+/// One pixel of a region.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pixel {
+    pub(super) x: usize,
+    pub(super) y: usize,
+    /// Covered fraction.
+    pub(super) weight: f64,
+    /// 0 red, 1 green, 2 blue.
+    pub(super) channel: usize,
+    /// Place in the 2x2 block.
+    pub(super) place: usize,
+}
+
+/// The pixels something is measured on; hot pixels are left out.
+pub(super) struct Region {
+    pub(super) pixels: Vec<Pixel>,
+    width: usize,
+}
+
+impl Region {
+    pub(super) fn new(
+        pixels: impl Iterator<Item = (usize, usize, f64)>,
+        width: usize,
+        cfa: CfaPattern,
+        hot: &[bool],
+    ) -> Self {
+        let pixels = pixels
+            .filter(|&(x, y, weight)| weight > 0.0 && !hot[y * width + x])
+            .map(|(x, y, weight)| Pixel {
+                x,
+                y,
+                weight,
+                channel: cfa.channel(y, x),
+                place: CfaPattern::position(y, x),
+            })
+            .collect();
+        Self { pixels, width }
+    }
+
+    fn indices(&self) -> impl Iterator<Item = usize> + '_ {
+        self.pixels.iter().map(|p| p.y * self.width + p.x)
+    }
+}
+
+/// All shots of one thing at one exposure.
+pub(super) struct Stack {
+    pub(super) exposure_ms: f64,
+    /// Mean over the repeats of raw value minus dark, per pixel of the region.
+    pub(super) signal: Vec<f64>,
+    pub(super) repeats: f64,
+    pub(super) dark_count: f64,
+    /// Variance of one raw value without light.
+    pub(super) dark_variance: f64,
+    /// Pixels of the region at or above the usable range, in the worst repeat.
+    pub(super) clipped: usize,
+    /// How messages call its first frame.
+    pub(super) title: String,
+}
+
+/// Reads all shots of one thing, grouped by exposure (ascending), and compares successive usable ones for their noise.
+pub(super) fn read_stacks(
+    loader: &Loader<'_>,
+    records: &[&FrameRecord],
+    region: &Region,
+    darks: &Darks,
+    usable_fraction: f64,
+) -> Result<(Vec<Stack>, Vec<Cell>)> {
+    let mut records = records.to_vec();
+    records.sort_by(|a, b| {
+        let by_time = a.exposure_ms.total_cmp(&b.exposure_ms);
+        by_time.then(a.repeat.cmp(&b.repeat))
+    });
+    let mut stacks: Vec<Stack> = Vec::new();
+    let mut cells = Vec::new();
+    let mut previous: Option<Sample> = None;
+    for record in records {
+        let dark = darks.find(record)?;
+        let frame = loader.load(record)?;
+        let limit = (usable_fraction * f64::from(frame.white)) as u16;
+        let clipped = region.indices().filter(|&i| frame.data[i] >= limit).count();
+        let values = region
+            .indices()
+            .map(|i| f64::from(frame.data[i]) - f64::from(dark.mean[i]))
+            .collect();
+        let sample = Sample {
+            exposure_ms: record.exposure_ms,
+            values,
+            dark_variance: dark.variance,
+            dark_count: dark.count as f64,
+        };
+        match stacks.last_mut() {
+            Some(stack) if same_exposure(stack.exposure_ms, record.exposure_ms) => {
+                stack.repeats += 1.0;
+                stack.clipped = stack.clipped.max(clipped);
+                for (mean, value) in stack.signal.iter_mut().zip(&sample.values) {
+                    *mean += (value - *mean) / stack.repeats;
+                }
+            }
+            _ => stacks.push(Stack {
+                exposure_ms: record.exposure_ms,
+                signal: sample.values.clone(),
+                repeats: 1.0,
+                dark_count: sample.dark_count,
+                dark_variance: sample.dark_variance,
+                clipped,
+                title: title(record),
+            }),
+        }
+        if clipped > 0 {
+            previous = None;
+            continue;
+        }
+        if let Some(previous) = &previous {
+            cells.extend(pair_cells(previous, &sample, region));
+        }
+        previous = Some(sample);
+    }
+    Ok((stacks, cells))
+}

@@ -1,0 +1,77 @@
+//! What can go wrong in a dialogue with a controller, and how it is told.
+
+use super::codes::{alarm_meaning, error_meaning};
+use crate::base::Error;
+use crate::rig::wire_log::show_bytes;
+use std::io;
+
+#[derive(Debug)]
+pub(super) enum Fault {
+    /// The device is gone, or a replay diverged.
+    Disconnected(io::Error),
+    /// No answer in time.
+    Silent { during: String, seconds: f64 },
+    /// `ALARM:n`.
+    Alarm { number: u8, during: String },
+    /// A banner nobody asked for.
+    Restarted { during: String },
+    /// `error:n`.
+    Refused { number: u8, line: String },
+    /// Bytes that are no reply.
+    Garbled { bytes: Vec<u8>, during: String },
+    /// A well-formed reply or state that has no place here.
+    Unexpected { what: String, hint: String },
+}
+
+impl Fault {
+    pub(super) fn unexpected(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::Unexpected {
+            what: what.into(),
+            hint: hint.into(),
+        }
+    }
+
+    /// The fault told to a person, for the board of this name.
+    pub(super) fn told(self, board: &str) -> Error {
+        match self {
+            Self::Disconnected(e) if e.kind() == io::ErrorKind::InvalidData => {
+                let error = Error::new(format!("board '{board}': the replay failed"));
+                match e.into_inner() {
+                    Some(inner) => error.with_source(inner),
+                    None => error,
+                }
+            }
+            Self::Disconnected(e) => Error::new(format!("board '{board}' is disconnected"))
+                .with_source(e)
+                .with_hint("its lamp may still be on: check it, then the cable and the power; the device name may have changed, and the rig must be homed again"),
+            Self::Silent { during, seconds } => Error::new(format!(
+                "board '{board}': no answer within {seconds:.0} s to {during}"
+            ))
+            .with_hint("a controller in a critical alarm is silent until it is reset; check its power and the emergency stop, then start again"),
+            Self::Alarm { number, during } => {
+                let (meaning, action) = alarm_meaning(number);
+                Error::new(format!("board '{board}': ALARM:{number} during {during}: {meaning}"))
+                    .with_hint(action)
+            }
+            Self::Restarted { during } => Error::new(format!(
+                "board '{board}' restarted by itself during {during}; its position is lost"
+            ))
+            .with_hint("check its power supply and for noise on the cable, then home again"),
+            Self::Refused { number, line } => {
+                let (meaning, action) = error_meaning(number);
+                Error::new(format!(
+                    "board '{board}' refused {line} with error:{number}: {meaning}"
+                ))
+                .with_hint(action)
+            }
+            Self::Garbled { bytes, during } => Error::new(format!(
+                "board '{board}': garbled reply {} during {during}",
+                show_bytes(&bytes)
+            ))
+            .with_hint("what the board did is unknown; check baud rate, cable and grounding, then start again"),
+            Self::Unexpected { what, hint } => {
+                Error::new(format!("board '{board}': {what}")).with_hint(hint)
+            }
+        }
+    }
+}

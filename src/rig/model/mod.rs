@@ -1,0 +1,561 @@
+//! A byte-level model of a motion controller: Grbl 1.1 (3 axes) or grblHAL (5 axes).
+//!
+//! A pure state machine: bytes and the time go in, bytes come out. It serves tests in process on a virtual clock and,
+//! over a pseudo-terminal, the real serial code. Texts, error numbers and the order of replies follow recorded dialogues
+//! with both controllers (`tests/data/wire`).
+//!
+//! Not modeled: look-ahead between blocks (each line starts and ends at rest), arcs, probing, work offsets other than
+//! zero, check mode, sleep, start-up blocks, rapid and spindle overrides, grblHAL's 0x80-0x87 and 0x19. Homing always
+//! finds its switches.
+
+mod gcode;
+mod lines;
+mod motion;
+mod report;
+mod settings;
+
+use motion::{Block, Motion};
+use settings::Settings;
+use std::collections::VecDeque;
+
+/// Which firmware is modeled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Flavor {
+    /// Grbl 1.1h, axes X Y Z.
+    Grbl,
+    /// grblHAL 1.1f, axes X Y Z A B.
+    GrblHal,
+}
+
+impl Flavor {
+    /// The axis letters.
+    pub fn letters(self) -> &'static [char] {
+        match self {
+            Self::Grbl => &['X', 'Y', 'Z'],
+            Self::GrblHal => &['X', 'Y', 'Z', 'A', 'B'],
+        }
+    }
+}
+
+/// Something that goes wrong in the middle of the n-th motion line (1 = first) after power-up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fault {
+    /// Which motion line.
+    pub on_move: u32,
+    /// What goes wrong.
+    pub kind: FaultKind,
+}
+
+/// What can go wrong.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FaultKind {
+    /// The board restarts by itself halfway.
+    Reset,
+    /// An alarm with this number halfway.
+    Alarm(u8),
+    /// The line's `ok` arrives as `o\xfek`.
+    Garble,
+    /// The line is executed and never acknowledged; nor is any later one.
+    NeverOk,
+    /// The device disappears halfway.
+    Vanish,
+    /// The first axis ends this many units short of the target, and says so.
+    FallShort(f64),
+    /// Somebody presses the hold button halfway.
+    Hold,
+}
+
+/// How a model is set up.
+#[derive(Debug, Clone)]
+pub struct ModelOptions {
+    /// Which firmware.
+    pub flavor: Flavor,
+    /// Changed `$` settings; unknown numbers are ignored.
+    pub settings: Vec<(u16, f64)>,
+    /// A blank EEPROM: complaints and (Grbl) a settings dump before the banner.
+    pub blank_eeprom: bool,
+    /// Seconds from power-up to the banner; what arrives earlier is lost.
+    pub boot: f64,
+    /// Seconds from cause to reply.
+    pub latency: f64,
+    /// Limit switch and button letters reported in every status (`Pn:`).
+    pub pins: String,
+    /// What goes wrong.
+    pub faults: Vec<Fault>,
+}
+
+impl ModelOptions {
+    /// A controller as it comes from the factory: homing and soft limits off, slow.
+    pub fn factory(flavor: Flavor) -> Self {
+        Self {
+            flavor,
+            settings: Vec::new(),
+            blank_eeprom: true,
+            boot: 1.0,
+            latency: 0.004,
+            pins: String::new(),
+            faults: Vec::new(),
+        }
+    }
+
+    /// A controller set up for a rig in degrees: homing with lock and soft limits on, 360 units of travel, 100 units/s.
+    pub fn rig(flavor: Flavor) -> Self {
+        let homing = if flavor == Flavor::Grbl { 1.0 } else { 5.0 };
+        let mut settings = vec![(22, homing), (20, 1.0)];
+        for axis in 0..flavor.letters().len() as u16 {
+            settings.extend([
+                (110 + axis, 6000.0),
+                (120 + axis, 500.0),
+                (130 + axis, 360.0),
+            ]);
+        }
+        Self {
+            settings,
+            blank_eeprom: false,
+            ..Self::factory(flavor)
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Hold {
+    Feed,
+    Door,
+    /// A jog cancel: what is planned is thrown away at standstill.
+    JogCancel,
+}
+
+/// A line that is accepted but acknowledged later.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Waiting {
+    /// For the motion to end, then to dwell this long.
+    Dwell(f64),
+    /// For the motion to end, then to switch the spindle (3, 4, 5) to this speed.
+    Spindle(u8, f64),
+    /// For the dwell to end.
+    DwellUntil(f64),
+}
+
+#[derive(Debug, Clone)]
+struct Modal {
+    motion: u8,
+    relative: bool,
+    inches: bool,
+    feed: f64,
+    spindle: u8,
+    spindle_speed: f64,
+}
+
+const POWER_UP: Modal = Modal {
+    motion: 0,
+    relative: false,
+    inches: false,
+    feed: 0.0,
+    spindle: 5,
+    spindle_speed: 0.0,
+};
+
+/// The controller.
+#[derive(Debug)]
+pub struct GrblModel {
+    options: ModelOptions,
+    settings: Settings,
+    now: f64,
+    /// Until then it is starting up and hears nothing.
+    booting_until: Option<f64>,
+    gone: bool,
+    output: VecDeque<(f64, Vec<u8>)>,
+    partial: Vec<u8>,
+    overlong: bool,
+    lines: VecDeque<Vec<u8>>,
+    waiting: Option<Waiting>,
+    queue: VecDeque<Block>,
+    motion: Option<Motion>,
+    position: Vec<f64>,
+    /// Where the last planned line ends.
+    planned: Vec<f64>,
+    modal: Modal,
+    hold: Option<Hold>,
+    homing_until: Option<f64>,
+    homed: bool,
+    alarm: Option<u8>,
+    /// Deaf until 0x18.
+    critical: bool,
+    sticky_error: Option<u8>,
+    feed_override: u32,
+    reports_since_offsets: u32,
+    reports_since_overrides: u32,
+    moves_seen: u32,
+    fault_at: Option<(f64, FaultKind)>,
+    muted: bool,
+}
+
+impl GrblModel {
+    /// A controller that is switched on at time 0.
+    pub fn new(options: ModelOptions) -> Self {
+        let n = options.flavor.letters().len();
+        let mut settings = Settings::factory(options.flavor, n);
+        for &(number, value) in &options.settings {
+            settings.set(number, value);
+        }
+        let mut model = Self {
+            settings,
+            now: 0.0,
+            booting_until: Some(options.boot),
+            gone: false,
+            output: VecDeque::new(),
+            partial: Vec::new(),
+            overlong: false,
+            lines: VecDeque::new(),
+            waiting: None,
+            queue: VecDeque::new(),
+            motion: None,
+            position: vec![0.0; n],
+            planned: vec![0.0; n],
+            modal: POWER_UP,
+            hold: None,
+            homing_until: None,
+            homed: false,
+            alarm: None,
+            critical: false,
+            sticky_error: None,
+            feed_override: 100,
+            reports_since_offsets: u32::MAX,
+            reports_since_overrides: u32::MAX,
+            moves_seen: 0,
+            fault_at: None,
+            muted: false,
+            options,
+        };
+        model.power_up_text();
+        model
+    }
+
+    /// Takes bytes that arrive at time `now` (seconds; times never go backwards).
+    pub fn receive(&mut self, bytes: &[u8], now: f64) {
+        self.advance(now);
+        for &byte in bytes {
+            self.receive_byte(byte);
+        }
+        self.process_lines();
+    }
+
+    /// What has been sent by time `now`.
+    pub fn take_output(&mut self, now: f64) -> Vec<u8> {
+        self.advance(now);
+        let mut bytes = Vec::new();
+        while self.output.front().is_some_and(|(t, _)| *t <= now) {
+            if let Some((_, piece)) = self.output.pop_front() {
+                bytes.extend(piece);
+            }
+        }
+        bytes
+    }
+
+    /// The next time at which something happens by itself, if anything will.
+    pub fn next_event(&self) -> Option<f64> {
+        let output = self.output.front().map(|(t, _)| *t);
+        [output, self.next_internal()]
+            .into_iter()
+            .flatten()
+            .reduce(f64::min)
+    }
+
+    /// True when the device has disappeared.
+    pub fn is_gone(&self) -> bool {
+        self.gone
+    }
+
+    /// Makes the device disappear now.
+    pub fn vanish(&mut self) {
+        self.gone = true;
+    }
+
+    /// True while the spindle output (the lamp) is on.
+    pub fn spindle_on(&self) -> bool {
+        self.modal.spindle != 5
+    }
+
+    /// True once homed, until the position is lost.
+    pub fn is_homed(&self) -> bool {
+        self.homed
+    }
+
+    /// True while an axis moves.
+    pub fn is_moving(&self) -> bool {
+        self.motion.is_some()
+    }
+
+    /// Axis positions in machine units, at the time last heard of.
+    pub fn position(&self) -> Vec<f64> {
+        self.motion
+            .as_ref()
+            .map_or_else(|| self.position.clone(), |m| m.position(self.now))
+    }
+
+    // -- time -------------------------------------------------------------------------------------------------------
+
+    fn next_internal(&self) -> Option<f64> {
+        if self.gone {
+            return None;
+        }
+        let dwell = match self.waiting {
+            Some(Waiting::DwellUntil(t)) => Some(t),
+            _ => None,
+        };
+        [
+            self.booting_until,
+            self.homing_until,
+            self.motion.as_ref().map(Motion::end),
+            self.fault_at.map(|f| f.0),
+            dwell,
+        ]
+        .into_iter()
+        .flatten()
+        .reduce(f64::min)
+    }
+
+    fn advance(&mut self, now: f64) {
+        while let Some(t) = self.next_internal().filter(|t| *t <= now) {
+            self.now = self.now.max(t);
+            self.happen();
+        }
+        self.now = self.now.max(now);
+    }
+
+    /// Does what is due at `self.now`.
+    fn happen(&mut self) {
+        let due = |t: Option<f64>| t.is_some_and(|t| t <= self.now);
+        if due(self.booting_until) {
+            self.booting_until = None;
+        } else if due(self.fault_at.map(|f| f.0)) {
+            if let Some((_, kind)) = self.fault_at.take() {
+                self.suffer(kind);
+            }
+        } else if due(self.homing_until) {
+            self.finish_homing();
+        } else if due(self.motion.as_ref().map(Motion::end)) {
+            self.finish_motion();
+        }
+        self.continue_waiting();
+        self.process_lines();
+    }
+
+    fn finish_homing(&mut self) {
+        self.homing_until = None;
+        let pull_off = self.settings.get(27);
+        self.position.fill(-pull_off);
+        self.planned.clone_from(&self.position);
+        self.homed = true;
+        self.alarm = None;
+        self.ok();
+    }
+
+    fn finish_motion(&mut self) {
+        let Some(motion) = self.motion.take() else {
+            return;
+        };
+        self.position = self.quantized(motion.position(self.now));
+        if self.hold == Some(Hold::JogCancel) {
+            self.hold = None;
+            self.queue.clear();
+            self.planned.clone_from(&self.position);
+        } else if !motion.at_target(self.now) {
+            // Standstill in a hold: the rest of the line waits.
+            self.queue.push_front(motion.block);
+        }
+        if self.hold.is_none() {
+            self.start_next_block();
+        }
+    }
+
+    fn start_next_block(&mut self) {
+        if self.motion.is_some() || self.hold.is_some() || self.alarm.is_some() {
+            return;
+        }
+        let Some(block) = self.queue.pop_front() else {
+            return;
+        };
+        let n = self.position.len();
+        let rates = self.settings.per_axis(110, n);
+        let accelerations = self.settings.per_axis(120, n);
+        self.motion = Some(Motion::start(
+            &self.position,
+            block,
+            &rates,
+            &accelerations,
+            self.now,
+        ));
+    }
+
+    /// Positions are whole motor steps.
+    fn quantized(&self, position: Vec<f64>) -> Vec<f64> {
+        let steps = self.settings.per_axis(100, position.len());
+        position
+            .iter()
+            .zip(&steps)
+            .map(|(p, s)| (p * s).round() / s)
+            .collect()
+    }
+
+    fn continue_waiting(&mut self) {
+        let still = self.motion.is_none() && self.queue.is_empty();
+        match self.waiting {
+            Some(Waiting::Dwell(seconds)) if still => {
+                self.waiting = Some(Waiting::DwellUntil(self.now + seconds));
+            }
+            Some(Waiting::Spindle(code, speed)) if still => {
+                self.modal.spindle = code;
+                self.modal.spindle_speed = speed;
+                self.waiting = None;
+                self.ok();
+            }
+            Some(Waiting::DwellUntil(t)) if t <= self.now => {
+                self.waiting = None;
+                self.ok();
+            }
+            _ => {}
+        }
+    }
+
+    // -- faults -----------------------------------------------------------------------------------------------------
+
+    /// Counts a motion line and arms its fault; returns the fault that strikes at once.
+    fn count_move(&mut self, target: &mut [f64]) -> Option<FaultKind> {
+        self.moves_seen += 1;
+        let kind = self
+            .options
+            .faults
+            .iter()
+            .find(|f| f.on_move == self.moves_seen)?
+            .kind;
+        match kind {
+            FaultKind::FallShort(units) => {
+                target[0] -= units;
+                None
+            }
+            FaultKind::Garble | FaultKind::NeverOk => Some(kind),
+            _ => {
+                // "Halfway" is known once the line runs; see `arm`.
+                self.fault_at = Some((f64::INFINITY, kind));
+                None
+            }
+        }
+    }
+
+    /// Sets the time of an armed fault to the middle of the motion that was just planned.
+    fn arm(&mut self) {
+        let Some((f64::INFINITY, kind)) = self.fault_at else {
+            return;
+        };
+        let end = self.motion.as_ref().map_or(self.now, Motion::end);
+        self.fault_at = Some(((self.now + end) / 2.0, kind));
+    }
+
+    fn suffer(&mut self, kind: FaultKind) {
+        match kind {
+            FaultKind::Reset => {
+                self.freeze();
+                self.modal = POWER_UP;
+                self.forget_everything_queued();
+                self.position.fill(0.0);
+                self.planned.fill(0.0);
+                self.homed = false;
+                self.alarm = None;
+                self.booting_until = Some(self.now + self.options.boot);
+                self.power_up_text();
+            }
+            FaultKind::Alarm(number) => self.raise_alarm(number),
+            FaultKind::Vanish => self.gone = true,
+            FaultKind::Hold => self.begin_hold(Hold::Feed),
+            FaultKind::Garble | FaultKind::NeverOk | FaultKind::FallShort(_) => {}
+        }
+    }
+
+    // -- stopping ---------------------------------------------------------------------------------------------------
+
+    /// Stops dead where it is.
+    fn freeze(&mut self) {
+        let position = self.position();
+        self.position = self.quantized(position);
+        self.motion = None;
+        self.planned.clone_from(&self.position);
+    }
+
+    fn forget_everything_queued(&mut self) {
+        self.queue.clear();
+        self.lines.clear();
+        self.partial.clear();
+        self.overlong = false;
+        self.waiting = None;
+        self.hold = None;
+        self.homing_until = None;
+        self.sticky_error = None;
+        self.feed_override = 100;
+        self.reports_since_offsets = u32::MAX;
+        self.reports_since_overrides = u32::MAX;
+    }
+
+    /// An alarm outside a reset: everything stops; 1 and 2 leave Grbl deaf.
+    fn raise_alarm(&mut self, number: u8) {
+        self.freeze();
+        self.alarm = Some(number);
+        self.modal.spindle = 5;
+        self.queue.clear();
+        self.homed = false;
+        self.say(&format!("ALARM:{number}"));
+        if matches!(number, 1 | 2) {
+            self.say_later(0.5, "[MSG:Reset to continue]");
+            self.critical = self.options.flavor == Flavor::Grbl;
+        }
+    }
+
+    fn begin_hold(&mut self, hold: Hold) {
+        if self.alarm.is_some() || self.homing_until.is_some() {
+            return;
+        }
+        if let Some(motion) = &mut self.motion
+            && !motion.braking
+        {
+            motion.brake(self.now);
+        }
+        self.hold = Some(hold);
+    }
+
+    fn resume(&mut self) {
+        if !matches!(self.hold, Some(Hold::Feed | Hold::Door)) {
+            return;
+        }
+        self.hold = None;
+        if let Some(motion) = &mut self.motion {
+            motion.resume(self.now);
+        }
+        self.start_next_block();
+    }
+
+    /// 0x18.
+    fn soft_reset(&mut self) {
+        let flavor = self.options.flavor;
+        // The line that was being worked on is acknowledged although it was aborted.
+        let held_up = self.hold.is_some() && !self.lines.is_empty();
+        let aborted =
+            self.waiting.is_some() || self.homing_until.is_some() || self.critical || held_up;
+        let mut delay = 0.04;
+        if self.motion.is_some() || self.homing_until.is_some() {
+            self.freeze();
+            self.alarm = Some(3);
+            self.homed = false;
+            self.say("ALARM:3");
+            delay = if flavor == Flavor::Grbl { 0.55 } else { 0.1 };
+        }
+        self.forget_everything_queued();
+        self.planned.clone_from(&self.position);
+        self.modal = POWER_UP;
+        self.critical = false;
+        if aborted {
+            self.say("ok");
+        }
+        self.booting_until = Some(self.now + delay);
+        self.banner(delay);
+    }
+}

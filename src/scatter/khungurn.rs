@@ -1,0 +1,388 @@
+//! The fiber BCSDF of Khungurn et al. 2015 (eq. 3-9 and Appendix A): a surface reflection lobe R and a transmission
+//! lobe TT.
+//!
+//! ```text
+//! S = M_R / (2 pi) + M_TT N_TT                                    per color channel
+//! M_R  = F(theta_i) gbar(theta_o; -theta_i, beta_R)               F = C_R + (1 - C_R)(1 - cos theta_i)^5
+//! M_TT = C_TT (1 - F(theta_i)) gbar(theta_o; -theta_i, beta_TT)
+//! N_TT = exp(k cos(phi_o - phi_i - pi)) / (2 pi I_0(k))           k = gamma_TT^-2
+//! ```
+//!
+//! The printed eq. 5 reads as if `gamma^-2` stood before the exponential; only the form above integrates to 1.
+//!
+//! What the model does not do: it is not reciprocal (F and G use theta_i alone), it has no TRT lobe, no tilt of the
+//! fiber's scales, and no dependence on where across the fiber the ray strikes. Its azimuth is undefined along the axis:
+//! a direction exactly on the axis takes azimuth zero, which keeps the lobe normalized.
+//!
+//! Evaluation uses no trigonometric function of single angles: with `t = tan(theta/2) = x/(1 + cos theta)` it is
+//! `theta_i + theta_o = 2 atan2(t_i + t_o, 1 - t_i t_o)`, `1 - cos theta = x t`, and with unit azimuth vectors `a`
+//! `cos(phi_o - phi_i - pi) - 1 = -|a_i + a_o|^2 / 2`, which does not cancel where the lobe is.
+
+use super::normalizer::NormalizerTable;
+use super::{
+    CHANNELS, Evaluation, MAX_ROWS, Model, ParameterInfo, Parameters, Sampled, Scattering, Unit,
+};
+use crate::base::{Error, Result};
+use crate::math::Random;
+use crate::math::special::{bessel_ratio_deficit, i0e};
+use glam::DVec3;
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+/// The model `khungurn`: rows `c_r, c_tt, beta_r, beta_tt, gamma_tt`.
+#[derive(Debug, Clone, Copy)]
+pub struct Khungurn;
+
+const DEGREE: f64 = PI / 180.0;
+
+/// Ranges and defaults of Khungurn 2015, Table II.
+const PARAMETERS: &[ParameterInfo] = &[
+    color("c_r", 0.1),
+    color("c_tt", 0.85),
+    width("beta_r", 1.0, 10.0, 5.0),
+    width("beta_tt", 10.0, 45.0, 10.0),
+    width("gamma_tt", 1.0, 45.0, 10.0),
+];
+
+const fn color(name: &'static str, default: f64) -> ParameterInfo {
+    ParameterInfo {
+        name,
+        per_channel: true,
+        unit: Unit::One,
+        lower: 0.001,
+        upper: 0.999,
+        default,
+    }
+}
+
+const fn width(
+    name: &'static str,
+    lower_deg: f64,
+    upper_deg: f64,
+    default_deg: f64,
+) -> ParameterInfo {
+    ParameterInfo {
+        name,
+        per_channel: false,
+        unit: Unit::Angle,
+        lower: lower_deg * DEGREE,
+        upper: upper_deg * DEGREE,
+        default: default_deg * DEGREE,
+    }
+}
+
+impl Model for Khungurn {
+    fn name(&self) -> &'static str {
+        "khungurn"
+    }
+
+    fn parameters(&self) -> &'static [ParameterInfo] {
+        PARAMETERS
+    }
+
+    fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>> {
+        Ok(Box::new(KhungurnScattering::new(parameters)?))
+    }
+}
+
+/// Least share of the samples that each lobe gets, so that derivatives by a color near zero stay sampled.
+const LEAST_SHARE: f64 = 0.05;
+
+/// Below this `cos theta` a direction lies on the fiber's axis.
+const ON_AXIS: f64 = 1e-100;
+
+/// The BCSDF of Khungurn 2015 at fixed parameters.
+#[derive(Debug, Clone)]
+pub struct KhungurnScattering {
+    c_r: [f64; CHANNELS],
+    c_tt: [f64; CHANNELS],
+    r: LongitudinalLobe,
+    tt: LongitudinalLobe,
+    azimuthal: VonMises,
+    /// Channel mean of C_R.
+    mean_r: f64,
+    /// Channel mean of C_TT (1 - C_R).
+    mean_tt: f64,
+}
+
+impl KhungurnScattering {
+    /// Precomputes what depends on the parameters alone: 0.1 to 0.4 ms within Table II, growing as the inverse of the widths.
+    ///
+    /// # Errors
+    /// A color outside [0, 1], or a width outside 0.01 to 360 degrees. That is wider than Table II.
+    pub fn new(parameters: &Parameters) -> Result<Self> {
+        for info in PARAMETERS {
+            for value in parameters.channels(info.name) {
+                check(info, value)?;
+            }
+        }
+        let (c_r, c_tt) = (parameters.channels("c_r"), parameters.channels("c_tt"));
+        let mean = |f: &dyn Fn(usize) -> f64| (0..CHANNELS).map(f).sum::<f64>() / CHANNELS as f64;
+        Ok(Self {
+            c_r,
+            c_tt,
+            r: LongitudinalLobe::new(parameters.scalar("beta_r")),
+            tt: LongitudinalLobe::new(parameters.scalar("beta_tt")),
+            azimuthal: VonMises::new(parameters.scalar("gamma_tt")),
+            mean_r: mean(&|c| c_r[c]),
+            mean_tt: mean(&|c| c_tt[c] * (1.0 - c_r[c])),
+        })
+    }
+
+    /// The probability that [`Scattering::sample`] draws from the R lobe: by the channel means of the two lobes' strengths
+    /// at `theta_i = -theta_o`, held within 5 and 95 percent.
+    fn share_of_r(&self, o: &FiberAngles) -> f64 {
+        let w5 = o.schlick();
+        let r = self.mean_r + (1.0 - self.mean_r) * w5;
+        let tt = self.mean_tt * (1.0 - w5);
+        let share = if r + tt <= 0.0 { 0.5 } else { r / (r + tt) };
+        share.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE)
+    }
+
+    /// Value, derivatives and pdf, and beside them `pdf * cos(theta_i)`, which stays finite at the poles.
+    fn evaluate_angles(&self, i: &FiberAngles, o: &FiberAngles) -> (Evaluation, f64) {
+        let delta = 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t);
+        let square = delta * delta;
+
+        // Lobes with unit strength: R = gbar/(2 pi), TT = gbar N. One exponential each.
+        let (az_y, az_z) = (i.az_y + o.az_y, i.az_z + o.az_z);
+        let cos_minus_1 = -0.5 * (az_y * az_y + az_z * az_z);
+        let gauss_r = self.r.scale * (-square * self.r.half_inverse_square).exp() / TAU;
+        let gauss_tt = self.tt.scale
+            * self.azimuthal.scale
+            * (self.azimuthal.k * cos_minus_1 - square * self.tt.half_inverse_square).exp();
+        let (g_r, g_r_by_sigma) = self.r.table.normalizer(i.t);
+        let (g_tt, g_tt_by_sigma) = self.tt.table.normalizer(i.t);
+        let (inverse_r, inverse_tt) = (1.0 / g_r, 1.0 / g_tt);
+        let (lobe_r, lobe_tt) = (gauss_r * inverse_r, gauss_tt * inverse_tt);
+
+        // d ln(lobe) / d width.
+        let log_r = (2.0 * square * self.r.half_inverse_square - 1.0) * self.r.inverse_width
+            - g_r_by_sigma * inverse_r;
+        let log_tt = (2.0 * square * self.tt.half_inverse_square - 1.0) * self.tt.inverse_width
+            - g_tt_by_sigma * inverse_tt;
+        let log_gamma = (cos_minus_1 + self.azimuthal.deficit) * self.azimuthal.k_by_gamma;
+
+        let w5 = i.schlick();
+        let mut value = [0.0; CHANNELS];
+        let mut derivative = [[0.0; CHANNELS]; MAX_ROWS];
+        for c in 0..CHANNELS {
+            let f = self.c_r[c] + (1.0 - self.c_r[c]) * w5;
+            let r = f * lobe_r;
+            let tt_by_c_tt = (1.0 - f) * lobe_tt;
+            let tt = self.c_tt[c] * tt_by_c_tt;
+            value[c] = r + tt;
+            derivative[0][c] = (1.0 - w5) * (lobe_r - self.c_tt[c] * lobe_tt);
+            derivative[1][c] = tt_by_c_tt;
+            derivative[2][c] = r * log_r;
+            derivative[3][c] = tt * log_tt;
+            derivative[4][c] = tt * log_gamma;
+        }
+
+        // The mixture that `sample` draws from, as a density of (theta, phi) rather than of solid angle.
+        let share = self.share_of_r(o);
+        let density = share * gauss_r / self.r.table.mass(o.t)
+            + (1.0 - share) * gauss_tt / self.tt.table.mass(o.t);
+        let evaluation = Evaluation {
+            value,
+            derivative,
+            pdf: density / i.cos_theta,
+        };
+        (evaluation, density)
+    }
+}
+
+impl Scattering for KhungurnScattering {
+    fn evaluate(&self, wi: DVec3, wo: DVec3) -> Evaluation {
+        self.evaluate_angles(&FiberAngles::new(wi), &FiberAngles::new(wo))
+            .0
+    }
+
+    /// One of the lobes is chosen; theta_i is normal about -theta_o, truncated to [-pi/2, pi/2]; the azimuth is uniform for
+    /// R and von Mises about phi_o + pi for TT. The density is that of the mixture.
+    fn sample(&self, wo: DVec3, random: &mut Random) -> Option<Sampled> {
+        let o = FiberAngles::new(wo);
+        let from_r = random.uniform() < self.share_of_r(&o);
+        let lobe = if from_r { &self.r } else { &self.tt };
+        let (sin_theta, cos_theta) = lobe.sample(-2.0 * o.t.atan(), random).sin_cos();
+        // Azimuth relative to phi_o + pi, as cosine and sine.
+        let (cos_az, sin_az) = if from_r {
+            let (sin, cos) = (TAU * random.uniform()).sin_cos();
+            (cos, sin)
+        } else {
+            self.azimuthal.sample(random)
+        };
+        let (az_y, az_z) = (
+            -(o.az_y * cos_az - o.az_z * sin_az),
+            -(o.az_z * cos_az + o.az_y * sin_az),
+        );
+        let i = FiberAngles {
+            sin_theta,
+            cos_theta,
+            t: sin_theta / (1.0 + cos_theta),
+            az_y,
+            az_z,
+        };
+        let (evaluation, density) = self.evaluate_angles(&i, &o);
+        // S cos(theta_i) / pdf = S cos^2(theta_i) / density: no division by a cosine.
+        let factor = cos_theta * cos_theta / density;
+        Some(Sampled {
+            wi: DVec3::new(sin_theta, cos_theta * az_y, cos_theta * az_z),
+            weight: evaluation.value.map(|s| s * factor),
+            evaluation,
+        })
+    }
+}
+
+/// A direction in the fiber frame as the formulas need it.
+struct FiberAngles {
+    sin_theta: f64,
+    cos_theta: f64,
+    /// `tan(theta/2)`, in [-1, 1].
+    t: f64,
+    /// Unit azimuth vector.
+    az_y: f64,
+    az_z: f64,
+}
+
+impl FiberAngles {
+    fn new(w: DVec3) -> Self {
+        let cos_theta = (w.y * w.y + w.z * w.z).sqrt();
+        if cos_theta < ON_AXIS {
+            return Self {
+                sin_theta: w.x,
+                cos_theta: ON_AXIS,
+                t: w.x,
+                az_y: 1.0,
+                az_z: 0.0,
+            };
+        }
+        let inverse = 1.0 / cos_theta;
+        Self {
+            sin_theta: w.x,
+            cos_theta,
+            t: w.x / (1.0 + cos_theta),
+            az_y: w.y * inverse,
+            az_z: w.z * inverse,
+        }
+    }
+
+    /// `(1 - cos theta)^5`.
+    fn schlick(&self) -> f64 {
+        let w = self.sin_theta * self.t;
+        (w * w) * (w * w) * w
+    }
+}
+
+/// A Gaussian in the longitudinal angle with its normalizer.
+#[derive(Debug, Clone)]
+struct LongitudinalLobe {
+    width: f64,
+    inverse_width: f64,
+    /// `1 / (2 width^2)`.
+    half_inverse_square: f64,
+    /// `1 / (width sqrt(2 pi))`.
+    scale: f64,
+    table: NormalizerTable,
+}
+
+impl LongitudinalLobe {
+    fn new(width: f64) -> Self {
+        Self {
+            width,
+            inverse_width: 1.0 / width,
+            half_inverse_square: 0.5 / (width * width),
+            scale: 1.0 / (width * TAU.sqrt()),
+            table: NormalizerTable::new(width),
+        }
+    }
+
+    /// A normal number about `center` (in [-pi/2, pi/2]), truncated to [-pi/2, pi/2], by rejection; at least four in ten
+    /// proposals are taken at any width. A NaN center is returned, not tried forever.
+    fn sample(&self, center: f64, random: &mut Random) -> f64 {
+        loop {
+            if self.width < 1.0 {
+                let theta = center + self.width * random.normal();
+                if theta.is_nan() || theta.abs() <= FRAC_PI_2 {
+                    return theta;
+                }
+            } else {
+                let theta = PI * (random.uniform_open() - 0.5);
+                let delta = theta - center;
+                let keep = (-delta * delta * self.half_inverse_square).exp();
+                if keep.is_nan() || random.uniform() < keep {
+                    return theta + 0.0 * center;
+                }
+            }
+        }
+    }
+}
+
+/// The von Mises distribution of concentration `k = gamma^-2` about zero.
+#[derive(Debug, Clone)]
+struct VonMises {
+    k: f64,
+    /// `dk/dgamma = -2 gamma^-3`.
+    k_by_gamma: f64,
+    /// `exp(k) / (2 pi I_0(k))`: the density's peak.
+    scale: f64,
+    /// `1 - I_1(k)/I_0(k)`.
+    deficit: f64,
+    /// `r - 1` of Best and Fisher 1979.
+    envelope: f64,
+}
+
+impl VonMises {
+    fn new(gamma: f64) -> Self {
+        let k = gamma.powi(-2);
+        let tau = 1.0 + (1.0 + 4.0 * k * k).sqrt();
+        let rho = (tau - (2.0 * tau).sqrt()) / (2.0 * k);
+        Self {
+            k,
+            k_by_gamma: -2.0 * gamma.powi(-3),
+            scale: 1.0 / (TAU * i0e(k)),
+            deficit: bessel_ratio_deficit(k),
+            envelope: (1.0 - rho) * (1.0 - rho) / (2.0 * rho),
+        }
+    }
+
+    /// Cosine and sine of a von Mises angle (Best and Fisher 1979: rejection from a wrapped Cauchy envelope; written with
+    /// `r - 1` and `1 - f`, which do not cancel when the lobe is narrow).
+    fn sample(&self, random: &mut Random) -> (f64, f64) {
+        loop {
+            let z = (PI * random.uniform()).cos();
+            let one_minus_f = self.envelope * (1.0 - z) / (self.envelope + (1.0 + z));
+            let c = self.k * (self.envelope + one_minus_f);
+            let u = random.uniform_open();
+            if c * (2.0 - c) > u || (c / u).ln() + 1.0 - c >= 0.0 {
+                let sin = (one_minus_f * (2.0 - one_minus_f)).sqrt();
+                let sign = if random.bits() >> 63 == 0 { 1.0 } else { -1.0 };
+                return (1.0 - one_minus_f, sign * sin);
+            }
+        }
+    }
+}
+
+fn check(info: &ParameterInfo, value: f64) -> Result<()> {
+    let (shown, lower, upper, box_lower, box_upper) = match info.unit {
+        Unit::One => (value, 0.0, 1.0, info.lower, info.upper),
+        Unit::Angle => (
+            value.to_degrees(),
+            0.01,
+            360.0,
+            info.lower.to_degrees(),
+            info.upper.to_degrees(),
+        ),
+    };
+    // Degrees that went through radians may miss a bound by rounding.
+    let slack = 1e-12 * upper;
+    if (lower - slack * lower..=upper + slack).contains(&shown) {
+        return Ok(());
+    }
+    let key = info.file_key();
+    Err(Error::new(format!(
+        "khungurn: '{key}' is {shown}, expected {lower} to {upper}"
+    ))
+    .with_hint(format!(
+        "the published range of '{key}' is {box_lower:.4} to {box_upper:.4}"
+    )))
+}

@@ -1,0 +1,144 @@
+//! Promise: every derivative of every scattering model equals finite differences of its value, at the edges of the domain
+//! too, and stays finite where directions or widths degenerate.
+#![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
+
+#[path = "common/scatter_laws.rs"]
+mod scatter_laws;
+
+use glam::DVec3;
+use goniofit::scatter::{CHANNELS, Khungurn, Model, Parameters, models};
+use scatter_laws::{derivative_error, direction_deg, khungurn};
+
+/// What the five-point differences allow.
+const TOLERANCE: f64 = 1e-6;
+
+fn pairs() -> Vec<(DVec3, DVec3)> {
+    [
+        (0.0, 0.0, 0.0, 180.0),
+        (0.0, 0.0, 1.0, 179.5),
+        (30.0, 10.0, -31.0, 189.0),
+        (-70.0, 0.0, 68.5, 181.0),
+        (89.5, 20.0, -89.0, 199.5),
+        (-90.0, 0.0, 89.9, 180.0),
+        (45.0, 0.0, -44.0, 0.0),
+    ]
+    .map(|(ti, pi, to, po)| (direction_deg(ti, pi), direction_deg(to, po)))
+    .into()
+}
+
+fn worst(model: &dyn Model, parameters: &Parameters) -> f64 {
+    pairs()
+        .into_iter()
+        .map(|(wi, wo)| {
+            let error = derivative_error(model, parameters, wi, wo, |s| s.evaluate(wi, wo));
+            assert!(
+                error < TOLERANCE,
+                "{error:.1e} at {wi}, {wo}: {parameters:?}"
+            );
+            error
+        })
+        .fold(0.0, f64::max)
+}
+
+#[test]
+fn all_models_at_their_defaults_and_at_every_bound() {
+    for model in models() {
+        let defaults = Parameters::defaults(*model);
+        let mut largest = worst(*model, &defaults);
+        for (slot, (row, _)) in defaults.places().into_iter().enumerate() {
+            let info = &defaults.infos()[row];
+            for bound in [info.lower, info.upper] {
+                let mut values = defaults.values().to_vec();
+                values[slot] = bound;
+                largest = largest.max(worst(*model, &defaults.with_values(values)));
+            }
+        }
+        println!("{}: largest error {largest:.1e}", model.name());
+    }
+}
+
+#[test]
+fn khungurn_at_the_corners_and_at_colors_zero_and_one() {
+    for widths in [[1.0, 10.0, 1.0], [10.0, 45.0, 45.0], [1.0, 45.0, 20.0]] {
+        worst(
+            &Khungurn,
+            &khungurn([0.0, 0.5, 1.0], [1.0, 0.0, 0.5], widths),
+        );
+        worst(
+            &Khungurn,
+            &khungurn([0.001, 0.999, 0.3], [0.999, 0.001, 0.9], widths),
+        );
+    }
+}
+
+#[test]
+fn control_a_derivative_off_by_a_thousandth_fails() {
+    let parameters = Parameters::defaults(&Khungurn);
+    let (wi, wo) = pairs()[2];
+    for row in 0..Khungurn.parameters().len() {
+        let error = derivative_error(&Khungurn, &parameters, wi, wo, |s| {
+            let mut e = s.evaluate(wi, wo);
+            for c in 0..CHANNELS {
+                e.derivative[row][c] *= 1.001;
+            }
+            e
+        });
+        assert!(error > 10.0 * TOLERANCE, "row {row}: {error:.1e}");
+    }
+    // And per degree instead of per radian.
+    let error = derivative_error(&Khungurn, &parameters, wi, wo, |s| {
+        let mut e = s.evaluate(wi, wo);
+        e.derivative[4] = e.derivative[4].map(f64::to_radians);
+        e
+    });
+    assert!(error > 0.5, "{error:.1e}");
+}
+
+#[test]
+fn everything_stays_finite_along_the_axis_and_far_from_the_lobes() {
+    let hostile = [
+        DVec3::X,
+        -DVec3::X,
+        DVec3::new(1.0, -0.0, 0.0),
+        DVec3::new(-1.0, 1e-17, -1e-17),
+        DVec3::new(1.0, 1e-160, 1e-160),
+        DVec3::new(1.0 + 2.0 * f64::EPSILON, 1e-8, 0.0),
+        DVec3::Y,
+        DVec3::new(0.0, -1.0, -0.0),
+        DVec3::Z,
+        direction_deg(90.0, 0.0),
+        direction_deg(-89.999_999, 77.0),
+    ];
+    for widths in [[1.0, 10.0, 1.0], [10.0, 45.0, 45.0], [0.01, 0.01, 0.01]] {
+        let s = Khungurn
+            .prepare(&khungurn([0.001, 0.0, 1.0], [0.999, 1.0, 0.0], widths))
+            .unwrap();
+        for wi in hostile {
+            for wo in hostile {
+                let e = s.evaluate(wi, wo);
+                let all = e
+                    .value
+                    .iter()
+                    .chain(e.derivative.iter().flatten())
+                    .chain([&e.pdf]);
+                for x in all {
+                    assert!(x.is_finite(), "{widths:?}, wi {wi:?}, wo {wo:?}: {e:?}");
+                }
+                assert!(e.value.iter().all(|&v| v >= 0.0) && e.pdf >= 0.0);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_direction_that_is_not_a_number_is_not_hidden() {
+    let s = Khungurn.prepare(&Parameters::defaults(&Khungurn)).unwrap();
+    let e = s.evaluate(DVec3::NAN, DVec3::Y);
+    assert!(e.value[0].is_nan() && e.derivative[2][1].is_nan() && e.pdf.is_nan());
+    let e = s.evaluate(DVec3::Y, DVec3::NAN);
+    assert!(e.value[0].is_nan() && e.pdf.is_nan());
+    let sampled = s
+        .sample(DVec3::NAN, &mut scatter_laws::stream(1, 0))
+        .unwrap();
+    assert!(sampled.wi.is_nan() && sampled.weight[0].is_nan());
+}
