@@ -456,7 +456,9 @@ impl LinearModel {
         objective_weights: &[f64],
     ) -> f64 {
         let p = noise.n_rows();
-        let gram = self.jacobian.weighted_gram(objective_weights, &self.jacobian);
+        let gram = self
+            .jacobian
+            .weighted_gram(objective_weights, &self.jacobian);
         let columns = |j: usize| -> Vec<f64> { inverse_curvature.row(j).to_vec() };
         let trace: f64 = (0..p)
             .flat_map(|i| (0..p).map(move |j| (i, j)))
