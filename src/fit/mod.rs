@@ -1,1 +1,63 @@
-//! (room)
+//! Objective, bounded parameters, optimizer, uncertainty.
+//!
+//! Knows parameters by name and never a concrete model; never sees a port or a photograph. The method in equations, with
+//! what is unbiased and what only consistent, is in docs/fit.md.
+
+mod linear;
+mod objective;
+mod options;
+mod pool;
+mod result;
+mod search;
+mod space;
+mod summary;
+mod uncertainty;
+
+pub use objective::{Objective, PairedValue, RenderPair, TAU, rms_of};
+pub use options::{Budget, Method, Options};
+pub use result::{
+    ConfigurationResult, Correlation, Cost, FitResult, Iteration, ObjectiveResult, ParameterResult,
+    Truth, Verdict, refuse_existing,
+};
+
+use crate::base::{Result, Watch};
+use crate::render::Scene;
+use crate::scatter::Parameters;
+use crate::session::Measurements;
+use search::{Problem, Spent};
+use space::SearchSpace;
+
+/// Finds the parameters of the scene's model that reproduce `measurements`, and how well they are known.
+///
+/// With a budget in paths the result is a function of the inputs and the seed alone (times excepted). The caller fills
+/// in `fabric`, `measurements`, `synthetic` and `command` of the result. Cancelling keeps the best so far, with a short
+/// final check.
+///
+/// # Errors
+/// When a measurement is negative or not finite, the start is outside the bounds, a render fails or gives numbers that
+/// are not finite, or the fit is cancelled before its first render is whole.
+pub fn fit(
+    scene: &dyn Scene,
+    measurements: &Measurements,
+    options: &Options,
+    watch: &dyn Watch,
+) -> Result<FitResult> {
+    options.check()?;
+    let objective = Objective::new(measurements)?;
+    let start = match &options.start {
+        Some(start) => start.clone(),
+        None => Parameters::defaults(scene.model()),
+    };
+    let space = SearchSpace::new(&start)?;
+    let problem = Problem {
+        scene,
+        objective: &objective,
+        space: &space,
+        options,
+    };
+    let mut spent = Spent::default();
+    let u = space.to_search(&start)?;
+    let found = search::search(&problem, &u, &mut spent, watch)?;
+    let check = summary::FreshCheck::render(&problem, &found, &mut spent, watch)?;
+    Ok(summary::summarize(&problem, &start, &found, &check, spent))
+}

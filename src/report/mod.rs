@@ -1,3 +1,12 @@
-//! (room)
+//! Tables, charts, pictures and the HTML page of a fit.
+//!
+//! Lays out what it is given and computes nothing. A page is one file: style and charts are inline, no script runs,
+//! nothing is loaded from elsewhere.
 
+mod charts;
+mod html;
+mod page;
+mod svg;
 pub mod swatch;
+
+pub use page::{Picture, Provenance, Section, Table, page};

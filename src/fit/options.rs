@@ -1,0 +1,105 @@
+//! What a caller may ask of a fit.
+
+use crate::base::{Error, Result};
+use crate::scatter::Parameters;
+
+/// How the parameters are searched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Method {
+    /// Stochastic Gauss-Newton on fresh render pairs (docs/fit.md).
+    #[default]
+    GaussNewton,
+}
+
+impl Method {
+    /// All methods, the default first.
+    pub const ALL: [Self; 1] = [Self::GaussNewton];
+
+    /// The name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::GaussNewton => "gauss-newton",
+        }
+    }
+
+    /// The method with this name.
+    ///
+    /// # Errors
+    /// When there is none; the hint lists those that exist.
+    pub fn named(name: &str) -> Result<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|m| m.name() == name)
+            .ok_or_else(|| {
+                let known: Vec<_> = Self::ALL.iter().map(|m| m.name()).collect();
+                Error::new(format!("unknown method '{name}'"))
+                    .with_hint(format!("known methods: {}", known.join(", ")))
+            })
+    }
+}
+
+/// When a fit ends: at the first limit it meets. At least one must be given.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Budget {
+    /// Seconds of rendering, as the scene reports them (search and final check together). A fit limited by time depends
+    /// on the machine's speed and is not reproducible.
+    pub time_s: Option<f64>,
+    /// Camera paths in all (search and final check together). Reproducible on any number of threads.
+    pub paths: Option<u64>,
+    /// Monte Carlo part of the weighted rms error of the fitted means, as a fraction. Without it the search ends when
+    /// Monte Carlo noise adds little to the measurement errors.
+    pub accuracy: Option<f64>,
+}
+
+/// Everything a fit needs besides the scene and the measurements.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// How to search.
+    pub method: Method,
+    /// When to end.
+    pub budget: Budget,
+    /// Every random number is a function of it.
+    pub seed: u64,
+    /// Where to begin; the model's published defaults when none.
+    pub start: Option<Parameters>,
+    /// A weighted rms residual significantly above this fraction is reported as a model that does not explain the data.
+    pub tolerance: f64,
+}
+
+impl Options {
+    /// A fit from the published defaults with a tolerance of 5 %.
+    pub fn new(seed: u64, budget: Budget) -> Self {
+        Self {
+            method: Method::default(),
+            budget,
+            seed,
+            start: None,
+            tolerance: 0.05,
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        let Budget {
+            time_s,
+            paths,
+            accuracy,
+        } = self.budget;
+        if time_s.is_none() && paths.is_none() && accuracy.is_none() {
+            return Err(Error::new("a fit needs a limit: time, paths or accuracy"));
+        }
+        if time_s.is_some_and(|t| !(1e-3..1e9).contains(&t)) {
+            return Err(Error::new(
+                "the time budget must be a positive number of seconds",
+            ));
+        }
+        if accuracy.is_some_and(|a| !(1e-5..1.0).contains(&a)) {
+            return Err(Error::new(
+                "the accuracy must be a fraction between 0.00001 and 1",
+            ));
+        }
+        if !(0.0..1e3).contains(&self.tolerance) {
+            return Err(Error::new("the tolerance must be a fraction >= 0"));
+        }
+        Ok(())
+    }
+}

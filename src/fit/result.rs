@@ -1,0 +1,363 @@
+//! What a fit found, and its file `fit.json`.
+//!
+//! All numbers are finite; angles wear degrees as in parameter files. Does not know how the numbers were found.
+
+use super::objective::{PairedValue, rms_of};
+use crate::base::{Context, Error, Result};
+use crate::scatter::CHANNELS;
+use crate::session::{Configuration, files};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// One iteration of the search.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Iteration {
+    /// Camera paths of this iteration's pair.
+    pub paths: u64,
+    /// Camera paths so far.
+    pub total_paths: u64,
+    /// Seconds of rendering so far.
+    pub wall_s: f64,
+    /// Where the pair was rendered, as a parameter file's object.
+    pub parameters: Value,
+    /// Unbiased estimate of the objective there.
+    pub paired_objective: f64,
+    /// Its standard error.
+    pub paired_objective_se: f64,
+    /// Weighted rms residual there, percent.
+    pub weighted_rms_percent: f64,
+    /// Its standard error.
+    pub weighted_rms_se_percent: f64,
+    /// Monte Carlo part of the weighted rms error of the fitted means after this iteration, percent.
+    pub monte_carlo_percent: f64,
+    /// False when the objective had grown beyond the noise and the search went back.
+    pub accepted: bool,
+}
+
+/// One configuration, measured and rendered at the fitted parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ConfigurationResult {
+    /// The pose; in files its columns are those of `measurements.csv`.
+    #[serde(flatten)]
+    pub configuration: Configuration,
+    /// Measured normalized radiance, r, g, b.
+    pub measured: [f64; CHANNELS],
+    /// Its standard error.
+    pub measured_se: [f64; CHANNELS],
+    /// Rendered normalized radiance: the mean of the two fresh renders.
+    pub rendered: [f64; CHANNELS],
+    /// Its standard error.
+    pub rendered_se: [f64; CHANNELS],
+    /// Rendered minus measured.
+    pub residual: [f64; CHANNELS],
+    /// The residual times the square root of the weight: relative to the measured channel mean (not below tau).
+    pub relative_residual: [f64; CHANNELS],
+    /// Weight in the objective (Khungurn 2015 eq. 20).
+    pub weight: f64,
+    /// The two independent fresh renders by themselves.
+    pub renders: [[f64; CHANNELS]; 2],
+    /// Camera paths of both.
+    pub paths: u64,
+}
+
+/// How well the fitted parameters reproduce the measurements, from fresh pairs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ObjectiveResult {
+    /// `sum w (R1 - M)(R2 - M)`: unbiased, may be negative.
+    pub paired: f64,
+    /// Its standard error.
+    pub se: f64,
+    /// `sqrt(max(0, paired) / n)`, percent.
+    pub weighted_rms_percent: f64,
+    /// Its standard error, percent.
+    pub weighted_rms_se_percent: f64,
+    /// What measurement errors alone would leave: `sqrt(sum w se^2 / n)`, percent.
+    pub measurement_rms_percent: f64,
+    /// Part of the weighted rms error of the *fitted means* that comes from the fit's Monte Carlo noise, percent.
+    pub fit_monte_carlo_percent: f64,
+    /// Part of the same that comes from measurement errors, percent.
+    pub fit_measurement_percent: f64,
+    /// Relative model error added to the measurement errors in the intervals because the residual is larger than those
+    /// explain, percent; 0 when they explain it.
+    pub misfit_percent: f64,
+    /// Numbers compared.
+    pub n: usize,
+    /// Camera paths of the fresh pair.
+    pub paths: u64,
+}
+
+/// What can be said about a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The 95 % interval takes at most a fifth of the range.
+    Determined,
+    /// It takes between a fifth and a half of the range.
+    WeaklyDetermined,
+    /// It takes more than half of the range.
+    NotDetermined,
+    /// The best value lies at or beyond the lower bound.
+    AtLowerBound,
+    /// The best value lies at or beyond the upper bound.
+    AtUpperBound,
+}
+
+impl Verdict {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Determined => "determined",
+            Self::WeaklyDetermined => "weakly determined",
+            Self::NotDetermined => "not determined",
+            Self::AtLowerBound => "at its lower bound",
+            Self::AtUpperBound => "at its upper bound",
+        }
+    }
+}
+
+/// One flat parameter with its uncertainty; angles in degrees.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterResult {
+    /// Flat name: `c_r.r`, `beta_tt`, ...
+    pub name: String,
+    /// `degrees` or `1`.
+    pub unit: String,
+    /// Fitted value.
+    pub value: f64,
+    /// Where the search began.
+    pub initial: f64,
+    /// Lower bound.
+    pub lower_bound: f64,
+    /// Upper bound.
+    pub upper_bound: f64,
+    /// Half width of the central 68 % of the uncertainty.
+    pub standard_error: f64,
+    /// 68 % interval, inside the bounds.
+    pub interval_68: [f64; 2],
+    /// 95 % interval, inside the bounds.
+    pub interval_95: [f64; 2],
+    /// Share of the range (in search coordinates) the 95 % interval takes.
+    pub range_share: f64,
+    /// The judgement.
+    pub verdict: Verdict,
+    /// The judgement as a sentence.
+    pub sentence: String,
+}
+
+/// Correlations between the parameters' uncertainties.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Correlation {
+    /// Flat names of rows and columns.
+    pub names: Vec<String>,
+    /// Symmetric, 1 on the diagonal.
+    pub matrix: Vec<Vec<f64>>,
+}
+
+/// What the fit cost.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Cost {
+    /// Seconds of rendering.
+    pub wall_s: f64,
+    /// CPU seconds of all threads.
+    pub cpu_s: f64,
+    /// Camera paths, search and final check together.
+    pub paths: u64,
+}
+
+/// The known truth of a synthetic session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Truth {
+    /// The true parameters, as a parameter file's object.
+    pub parameters: Value,
+    /// The same as flat values, in the order and units of [`FitResult::uncertainty`].
+    pub values: Vec<f64>,
+    /// Noise-free normalized radiances, in the order of [`FitResult::configs`].
+    pub intensities: Vec<[f64; CHANNELS]>,
+    /// Weighted rms of the fitted means against them, percent, from the fresh pair (unbiased below the root).
+    pub weighted_rms_percent: f64,
+    /// Its standard error, percent.
+    pub weighted_rms_se_percent: f64,
+}
+
+/// The outcome of a fit: the content of `fit.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FitResult {
+    /// Always `goniofit-fit-1`.
+    pub format: String,
+    /// Fitted parameters, as a parameter file's object.
+    pub parameters: Value,
+    /// The scattering model.
+    pub model: String,
+    /// The fabric the renders show; filled in by the caller.
+    pub fabric: String,
+    /// Where the measurements came from; filled in by the caller.
+    pub measurements: String,
+    /// Whether the measurements are synthetic, when known.
+    pub synthetic: Option<bool>,
+    /// Whether parameters came to rest, accurately enough, at a residual within the tolerance.
+    pub converged: bool,
+    /// Why, or why not.
+    pub reason: String,
+    /// Fit quality.
+    pub objective: ObjectiveResult,
+    /// Names of parameters the data do not determine.
+    pub not_determined: Vec<String>,
+    /// Every flat parameter with its intervals.
+    pub uncertainty: Vec<ParameterResult>,
+    /// Correlations of those.
+    pub correlation: Correlation,
+    /// Every configuration, measured and rendered.
+    pub configs: Vec<ConfigurationResult>,
+    /// Where the search began.
+    pub initial_parameters: Value,
+    /// The search method.
+    pub method: String,
+    /// The user's seed.
+    pub seed: u64,
+    /// Residual above which the model is said not to explain the data, percent.
+    pub tolerance_percent: f64,
+    /// Program versions.
+    pub versions: BTreeMap<String, String>,
+    /// What it cost.
+    pub time: Cost,
+    /// The search, iteration by iteration.
+    pub history: Vec<Iteration>,
+    /// The command that repeats the fit; filled in by the caller.
+    pub command: String,
+    /// The truth, when the session is synthetic and it is known.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub truth: Option<Truth>,
+}
+
+impl FitResult {
+    /// The value of [`FitResult::format`].
+    pub const FORMAT: &'static str = "goniofit-fit-1";
+
+    /// Adds the known truth of a synthetic session: parameters as a file's object, and noise-free intensities in the
+    /// order of [`FitResult::configs`].
+    ///
+    /// # Errors
+    /// When a parameter is missing or the number of intensities differs.
+    pub fn add_truth(
+        &mut self,
+        parameters: Value,
+        intensities: Vec<[f64; CHANNELS]>,
+    ) -> Result<()> {
+        if intensities.len() != self.configs.len() {
+            return Err(Error::new(format!(
+                "truth: {} intensities for {} configurations",
+                intensities.len(),
+                self.configs.len()
+            )));
+        }
+        let values = self
+            .uncertainty
+            .iter()
+            .map(|p| {
+                flat_value(&parameters, &p.name)
+                    .ok_or_else(|| Error::new(format!("truth: parameter {} is missing", p.name)))
+            })
+            .collect::<Result<_>>()?;
+        let (weighted_rms, se) = self.rms_against(&intensities);
+        self.truth = Some(Truth {
+            parameters,
+            values,
+            intensities,
+            weighted_rms_percent: 100.0 * weighted_rms,
+            weighted_rms_se_percent: 100.0 * se,
+        });
+        Ok(())
+    }
+
+    /// Weighted rms of the rendered means against other intensities, and its standard error, from the fresh pair.
+    fn rms_against(&self, intensities: &[[f64; CHANNELS]]) -> (f64, f64) {
+        let (mut value, mut variance) = (0.0, 0.0);
+        for (config, truth) in self.configs.iter().zip(intensities) {
+            let mut of_configuration = 0.0_f64;
+            for c in 0..CHANNELS {
+                let e = config.renders.map(|r| r[c] - truth[c]);
+                // Each render has twice the variance of their mean.
+                let s2 = 2.0 * config.rendered_se[c].powi(2);
+                value += config.weight * e[0] * e[1];
+                // Channels of a configuration share paths: standard errors add.
+                of_configuration += (2.0 * (e[0] * e[1]).max(0.0) * s2 + s2 * s2).sqrt();
+            }
+            variance += (config.weight * of_configuration).powi(2);
+        }
+        let paired = PairedValue {
+            value,
+            standard_error: variance.sqrt(),
+        };
+        rms_of(paired, CHANNELS * self.configs.len())
+    }
+
+    /// The text of `fit.json`.
+    ///
+    /// # Errors
+    /// Only if the JSON writer fails.
+    pub fn to_json(&self) -> Result<String> {
+        let text =
+            serde_json::to_string_pretty(self).context(|| "fit cannot be written as JSON")?;
+        Ok(text + "\n")
+    }
+
+    /// Reads a `fit.json`.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is not one.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = files::read_text(path)?;
+        let result: Self = serde_json::from_str(&text)
+            .context(|| format!("{} is not a fit.json", path.display()))
+            .map_err(|e| e.with_hint("make one with `goniofit fit`"))?;
+        if result.format != Self::FORMAT {
+            return Err(Error::new(format!(
+                "{}: format '{}' where '{}' was expected",
+                path.display(),
+                result.format,
+                Self::FORMAT
+            )));
+        }
+        Ok(result)
+    }
+
+    /// Writes `fit.json` whole or not at all.
+    ///
+    /// # Errors
+    /// When the file exists and `force` is false, or the disk refuses.
+    pub fn write(&self, path: &Path, force: bool) -> Result<()> {
+        if !force {
+            refuse_existing(path)?;
+        }
+        files::write_atomic(path, self.to_json()?.as_bytes())
+    }
+}
+
+/// Fails when there is a fit at `path` already: to be asked before any work is done.
+///
+/// # Errors
+/// When the file exists.
+pub fn refuse_existing(path: &Path) -> Result<()> {
+    if path.exists() {
+        return Err(Error::new(format!("{} exists already", path.display()))
+            .with_hint("choose another --out folder, or --force to replace the fit"));
+    }
+    Ok(())
+}
+
+/// The number a flat name (`c_r.g`, `beta_tt`) has in a parameter file's object.
+fn flat_value(parameters: &Value, name: &str) -> Option<f64> {
+    let (key, channel) = match name.split_once('.') {
+        Some((key, channel)) => (key, ["r", "g", "b"].iter().position(|c| *c == channel)?),
+        None => (name, 0),
+    };
+    let value = parameters
+        .get(key)
+        .or_else(|| parameters.get(format!("{key}_deg")))?;
+    match value {
+        Value::Array(list) => list.get(channel)?.as_f64(),
+        number => number.as_f64(),
+    }
+}

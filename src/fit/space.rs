@@ -1,0 +1,239 @@
+//! The coordinates the search moves in.
+//!
+//! Every flat parameter has a smooth monotone coordinate `u` in which a step of 0.1 is a moderate change anywhere in
+//! its range: the logarithm for lengths of range (widths), a softened logit for fractions (colors), the fraction of the
+//! range otherwise. Slopes stay finite at the bounds, so a parameter can sit on a bound and leave it again.
+
+use crate::base::{Error, Result};
+use crate::scatter::{ParameterInfo, Parameters, Unit};
+
+/// Softening of the logit: the slope at a bound is that of a logit this fraction of the range away from it.
+const SOFTENING: f64 = 0.05;
+
+#[derive(Debug, Clone, Copy)]
+enum Scale {
+    /// `u = ln v`
+    Logarithm,
+    /// `u = ln(t + s) - ln(1 - t + s)`, `t = (v - lower) / (upper - lower)`, `s` = [`SOFTENING`]
+    SoftLogit,
+    /// `u = 4 t`
+    Linear,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Axis {
+    scale: Scale,
+    lower: f64,
+    upper: f64,
+}
+
+impl Axis {
+    fn of(info: &ParameterInfo) -> Result<Self> {
+        if !(info.lower < info.upper && info.lower.is_finite() && info.upper.is_finite()) {
+            return Err(Error::new(format!(
+                "parameter {}: bounds {} to {} are no range",
+                info.name, info.lower, info.upper
+            )));
+        }
+        let scale = if info.unit == Unit::One && info.lower >= 0.0 && info.upper <= 1.0 {
+            Scale::SoftLogit
+        } else if info.lower > 0.0 {
+            Scale::Logarithm
+        } else {
+            Scale::Linear
+        };
+        Ok(Self {
+            scale,
+            lower: info.lower,
+            upper: info.upper,
+        })
+    }
+
+    fn fraction(&self, value: f64) -> f64 {
+        (value - self.lower) / (self.upper - self.lower)
+    }
+
+    fn to_search(self, value: f64) -> f64 {
+        match self.scale {
+            Scale::Logarithm => value.ln(),
+            Scale::SoftLogit => {
+                let t = self.fraction(value);
+                ((t + SOFTENING) / (1.0 - t + SOFTENING)).ln()
+            }
+            Scale::Linear => 4.0 * self.fraction(value),
+        }
+    }
+
+    /// The value at `u`; never outside the bounds by rounding.
+    fn to_value(self, u: f64) -> f64 {
+        let value = match self.scale {
+            Scale::Logarithm => u.exp(),
+            Scale::SoftLogit => {
+                let e = u.exp();
+                let t = (e * (1.0 + SOFTENING) - SOFTENING) / (1.0 + e);
+                self.lower + t * (self.upper - self.lower)
+            }
+            Scale::Linear => self.lower + 0.25 * u * (self.upper - self.lower),
+        };
+        value.clamp(self.lower, self.upper)
+    }
+
+    /// `d value / d u`.
+    fn slope(self, value: f64) -> f64 {
+        match self.scale {
+            Scale::Logarithm => value,
+            Scale::SoftLogit => {
+                let t = self.fraction(value);
+                (t + SOFTENING) * (1.0 - t + SOFTENING) / (1.0 + 2.0 * SOFTENING)
+                    * (self.upper - self.lower)
+            }
+            Scale::Linear => 0.25 * (self.upper - self.lower),
+        }
+    }
+}
+
+/// The box of a model's parameters in search coordinates, one per flat place.
+#[derive(Debug, Clone)]
+pub(super) struct SearchSpace {
+    template: Parameters,
+    axes: Vec<Axis>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+}
+
+impl SearchSpace {
+    /// The space of the model `template` belongs to.
+    ///
+    /// # Errors
+    /// When a parameter has no range.
+    pub(super) fn new(template: &Parameters) -> Result<Self> {
+        let axes = template
+            .places()
+            .into_iter()
+            .map(|(row, _)| Axis::of(&template.infos()[row]))
+            .collect::<Result<Vec<_>>>()?;
+        Ok(Self {
+            template: template.clone(),
+            lower: axes.iter().map(|a| a.to_search(a.lower)).collect(),
+            upper: axes.iter().map(|a| a.to_search(a.upper)).collect(),
+            axes,
+        })
+    }
+
+    /// Number of flat places.
+    pub(super) fn len(&self) -> usize {
+        self.axes.len()
+    }
+
+    pub(super) fn lower(&self) -> &[f64] {
+        &self.lower
+    }
+
+    pub(super) fn upper(&self) -> &[f64] {
+        &self.upper
+    }
+
+    /// Search coordinates of parameter values.
+    ///
+    /// # Errors
+    /// When a value is outside its bounds.
+    pub(super) fn to_search(&self, parameters: &Parameters) -> Result<Vec<f64>> {
+        let names = parameters.flat_names();
+        self.axes
+            .iter()
+            .zip(parameters.values())
+            .zip(&names)
+            .map(|((axis, &value), name)| {
+                // One part in 1e9 of slack: files hold degrees.
+                let slack = 1e-9 * (axis.upper - axis.lower);
+                if !(axis.lower - slack..=axis.upper + slack).contains(&value) {
+                    return Err(Error::new(format!(
+                        "start value of {name} is {value}, outside its bounds {} to {}",
+                        axis.lower, axis.upper
+                    ))
+                    .with_hint(
+                        "a fit searches inside the published bounds; angles here are in radians",
+                    ));
+                }
+                Ok(axis.to_search(value.clamp(axis.lower, axis.upper)))
+            })
+            .collect()
+    }
+
+    /// Parameter values at `u`; coordinates on a side of the box give the bound exactly.
+    pub(super) fn to_parameters(&self, u: &[f64]) -> Parameters {
+        self.template
+            .with_values((0..self.len()).map(|j| self.value(j, u[j])).collect())
+    }
+
+    /// The value of place `j` at its coordinate.
+    pub(super) fn value(&self, j: usize, u: f64) -> f64 {
+        if u <= self.lower[j] {
+            self.axes[j].lower
+        } else if u >= self.upper[j] {
+            self.axes[j].upper
+        } else {
+            self.axes[j].to_value(u)
+        }
+    }
+
+    /// `d value / d u` per place.
+    pub(super) fn slopes(&self, parameters: &Parameters) -> Vec<f64> {
+        self.axes
+            .iter()
+            .zip(parameters.values())
+            .map(|(axis, &value)| axis.slope(value))
+            .collect()
+    }
+
+    /// `u` moved into the box.
+    pub(super) fn clamped(&self, u: &[f64]) -> Vec<f64> {
+        (0..self.len())
+            .map(|j| u[j].clamp(self.lower[j], self.upper[j]))
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AXES: [Axis; 3] = [
+        Axis {
+            scale: Scale::Logarithm,
+            lower: 0.017,
+            upper: 0.8,
+        },
+        Axis {
+            scale: Scale::SoftLogit,
+            lower: 0.001,
+            upper: 0.999,
+        },
+        Axis {
+            scale: Scale::Linear,
+            lower: -2.0,
+            upper: 3.0,
+        },
+    ];
+
+    #[test]
+    fn coordinates_round_trip_and_slopes_are_their_derivatives() {
+        for axis in AXES {
+            for i in 0..=40 {
+                let t = f64::from(i) / 40.0;
+                let value = axis.lower + t * (axis.upper - axis.lower);
+                let u = axis.to_search(value);
+                assert!((axis.to_value(u) - value).abs() < 1e-12, "{axis:?} {value}");
+                if (1..40).contains(&i) {
+                    let h = 1e-5;
+                    let numeric = (axis.to_value(u + h) - axis.to_value(u - h)) / (2.0 * h);
+                    let slope = axis.slope(value);
+                    assert!(
+                        (numeric - slope).abs() < 1e-7 * slope.abs().max(1.0),
+                        "{axis:?} {value}: {numeric} {slope}"
+                    );
+                }
+            }
+        }
+    }
+}

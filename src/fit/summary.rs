@@ -1,0 +1,408 @@
+//! From where the search ended to a [`FitResult`]: a fresh pair judges, verdicts are put into words.
+
+use super::linear::{Matrix, box_quadratic, inverse};
+use super::objective::{PairedValue, RenderPair, rms_of};
+use super::pool::Pool;
+use super::result::{
+    ConfigurationResult, Correlation, Cost, FitResult, ObjectiveResult, ParameterResult, Verdict,
+};
+use super::search::{Found, Problem, Spent, Stop, Stretch};
+use super::uncertainty::Samples;
+use crate::base::{Result, Watch};
+use crate::scatter::{CHANNELS, Parameters, Unit};
+
+/// Pair index of the final check, far from those of the search.
+const CHECK_INDEX: u64 = 1 << 40;
+/// A full Newton step from the fresh pair may change the means by this fraction beyond its noise.
+const STILL: f64 = 0.002;
+/// Shares of the range at which a parameter is weakly, and not, determined.
+const WEAK: f64 = 0.2;
+const NOT: f64 = 0.5;
+
+/// A pair at the fitted parameters that the search has never seen.
+pub(super) struct FreshCheck {
+    pair: RenderPair,
+    paths: u64,
+    value: PairedValue,
+    /// Weighted rms change of the means that a full Newton step from this pair would make, and its noise.
+    moved: (f64, f64),
+}
+
+impl FreshCheck {
+    /// Renders the pair with what the search left of the budget, at most a third of what it used.
+    pub(super) fn render(
+        problem: &Problem<'_>,
+        found: &Found,
+        spent: &mut Spent,
+        watch: &dyn Watch,
+    ) -> Result<Self> {
+        let objective = problem.objective;
+        let cancelled = found.stop == Stop::Cancelled;
+        let usual = if cancelled {
+            spent.paths / 10
+        } else {
+            spent.paths / 3
+        };
+        let left = spent.left(&problem.options.budget, 1.0).unwrap_or(u64::MAX);
+        let paths = usual
+            .min(left)
+            .max(64 * objective.intensities().len() as u64);
+        let stretch = Stretch {
+            watch,
+            stage: "fit: final check",
+            done: 0.0,
+            each: 0.5,
+            state: std::sync::Mutex::new((0, 0.0)),
+            interruptible: false,
+        };
+        let pair = problem.render(&found.u, paths, &found.check_shares, CHECK_INDEX, &stretch)?;
+        spent.add(paths, &pair);
+        Ok(Self {
+            value: objective.paired(&pair),
+            moved: newton_move(problem, found, &pair),
+            pair,
+            paths,
+        })
+    }
+}
+
+fn newton_move(problem: &Problem<'_>, found: &Found, pair: &RenderPair) -> (f64, f64) {
+    let (space, objective) = (problem.space, problem.objective);
+    let mut pool = Pool::new(objective);
+    pool.push(
+        space,
+        &found.u,
+        &space.to_parameters(&found.u),
+        objective,
+        pair,
+    );
+    let fresh = pool.model(&found.u, None);
+    let offset =
+        |side: &[f64]| -> Vec<f64> { side.iter().zip(&found.u).map(|(s, u)| s - u).collect() };
+    let step = box_quadratic(
+        &found.curvature,
+        &fresh.gradient,
+        &offset(space.lower()),
+        &offset(space.upper()),
+    );
+    let n = objective.n_numbers() as f64;
+    let noise = inverse(&found.curvature).map_or(0.0, |inverse| {
+        fresh.fitted_rms(&inverse, &fresh.monte_carlo, pool.weights())
+    });
+    (
+        (found.curvature.form(&step, &step) / n).sqrt(),
+        noise.hypot(found.monte_carlo_rms),
+    )
+}
+
+/// Puts everything together.
+pub(super) fn summarize(
+    problem: &Problem<'_>,
+    start: &Parameters,
+    found: &Found,
+    check: &FreshCheck,
+    spent: Spent,
+) -> FitResult {
+    let Problem {
+        scene,
+        objective,
+        space,
+        options,
+    } = problem;
+    let parameters = space.to_parameters(&found.u);
+    let quality = quality(problem, found, check);
+
+    let mut noise = found.model.monte_carlo.clone();
+    noise.add_scaled(1.0, &found.model.measurement);
+    let jacobian = &found.model.jacobian;
+    let gram = jacobian.weighted_gram(&found.model.weights, jacobian);
+    noise.add_scaled((0.01 * quality.misfit_percent).powi(2), &gram);
+    let samples = Samples::draw(space, &found.u, &found.model, &noise, options.seed);
+    let uncertainty = parameter_results(problem, start, found, &samples);
+
+    let (converged, reason) = verdict(problem, found, check, &quality);
+    FitResult {
+        format: FitResult::FORMAT.to_owned(),
+        parameters: parameters.to_json(),
+        model: scene.model().name().to_owned(),
+        fabric: String::new(),
+        measurements: String::new(),
+        synthetic: None,
+        converged,
+        reason,
+        objective: quality,
+        not_determined: uncertainty
+            .iter()
+            .filter(|p| p.verdict == Verdict::NotDetermined)
+            .map(|p| p.name.clone())
+            .collect(),
+        correlation: correlation(&parameters, &samples.correlation),
+        uncertainty,
+        configs: objective
+            .intensities()
+            .iter()
+            .zip(objective.weights())
+            .zip(check.pair.estimates())
+            .map(|((intensity, &weight), [a, b])| {
+                let rendered: [f64; CHANNELS] =
+                    std::array::from_fn(|c| 0.5 * (a.mean[c] + b.mean[c]));
+                let residual: [f64; CHANNELS] =
+                    std::array::from_fn(|c| rendered[c] - intensity.mean[c]);
+                ConfigurationResult {
+                    configuration: intensity.configuration,
+                    measured: intensity.mean,
+                    measured_se: intensity.standard_error,
+                    rendered,
+                    rendered_se: std::array::from_fn(|c| {
+                        0.5 * a.standard_error[c].hypot(b.standard_error[c])
+                    }),
+                    residual,
+                    relative_residual: residual.map(|r| r * weight.sqrt()),
+                    weight,
+                    renders: [a.mean, b.mean],
+                    paths: a.paths + b.paths,
+                }
+            })
+            .collect(),
+        initial_parameters: start.to_json(),
+        method: options.method.name().to_owned(),
+        seed: options.seed,
+        tolerance_percent: 100.0 * options.tolerance,
+        versions: [("goniofit".to_owned(), env!("CARGO_PKG_VERSION").to_owned())].into(),
+        time: Cost {
+            wall_s: spent.wall_s,
+            cpu_s: spent.cpu_s,
+            paths: spent.paths,
+        },
+        history: found.history.clone(),
+        command: String::new(),
+        truth: None,
+    }
+}
+
+fn quality(problem: &Problem<'_>, found: &Found, check: &FreshCheck) -> ObjectiveResult {
+    let objective = problem.objective;
+    let n = objective.n_numbers();
+    let (rms, rms_se) = rms_of(check.value, n);
+    let from_measurements: f64 = objective
+        .intensities()
+        .iter()
+        .zip(objective.weights())
+        .map(|(i, w)| w * i.standard_error.iter().map(|s| s * s).sum::<f64>())
+        .sum();
+    // Expected when the model is right: measurement errors less what the fit absorbs of them, plus its own noise.
+    let absorbed = n as f64 * found.measurement_rms.powi(2);
+    let own = n as f64 * found.monte_carlo_rms.powi(2);
+    let expected = (from_measurements - absorbed).max(0.0) + own;
+    let freedom = n.saturating_sub(problem.space.len()).max(1) as f64;
+    let spread = check
+        .value
+        .standard_error
+        .hypot(expected * (2.0 / freedom).sqrt());
+    let excess = check.value.value - expected;
+    let misfit = if excess > 3.0 * spread {
+        (excess / n as f64).sqrt()
+    } else {
+        0.0
+    };
+    ObjectiveResult {
+        paired: check.value.value,
+        se: check.value.standard_error,
+        weighted_rms_percent: 100.0 * rms,
+        weighted_rms_se_percent: 100.0 * rms_se,
+        measurement_rms_percent: 100.0 * (from_measurements / n as f64).sqrt(),
+        fit_monte_carlo_percent: 100.0 * found.monte_carlo_rms,
+        fit_measurement_percent: 100.0 * found.measurement_rms,
+        misfit_percent: 100.0 * misfit,
+        n,
+        paths: check.paths,
+    }
+}
+
+/// Whether the fit converged, and the reason in words.
+fn verdict(
+    problem: &Problem<'_>,
+    found: &Found,
+    check: &FreshCheck,
+    quality: &ObjectiveResult,
+) -> (bool, String) {
+    let options = problem.options;
+    let n = problem.objective.n_numbers() as f64;
+    let noise = format!("{:.2} %", quality.fit_monte_carlo_percent);
+    let ended = match found.stop {
+        Stop::Accuracy => "the accuracy asked for was reached",
+        Stop::BesideMeasurement => "Monte Carlo noise is small beside the measurement errors",
+        Stop::Paths => "the paths were used up",
+        Stop::Time => "the time was used up",
+        Stop::Cancelled => "the fit was interrupted",
+    };
+    if found.stop == Stop::Cancelled {
+        return (
+            false,
+            format!("{ended}; this is the best so far (Monte Carlo part of the error {noise})"),
+        );
+    }
+    if let Some(accuracy) = options
+        .budget
+        .accuracy
+        .filter(|_| found.stop != Stop::Accuracy)
+    {
+        return (
+            false,
+            format!(
+                "{ended} at a Monte Carlo error of {noise}, before the {:.2} % asked for",
+                100.0 * accuracy
+            ),
+        );
+    }
+    let (moved, still) = check.moved;
+    if moved > 3.0 * still + STILL {
+        return (
+            false,
+            format!(
+                "{ended} while the parameters were still moving: the next step would change the means by {:.1} %",
+                100.0 * moved
+            ),
+        );
+    }
+    if found.monte_carlo_rms > options.tolerance {
+        return (
+            false,
+            format!(
+                "{ended} at a Monte Carlo error of {noise}, above the tolerance of {:.1} %: give the fit more paths",
+                100.0 * options.tolerance
+            ),
+        );
+    }
+    let tolerated = options.tolerance.powi(2) * n;
+    if check.value.value - 2.0 * check.value.standard_error > tolerated {
+        return (
+            false,
+            format!(
+                "the parameters came to rest, but a weighted rms residual of {:.1} % remains, above the tolerance of {:.1} %: \
+                 this model and fabric do not explain the measurements",
+                quality.weighted_rms_percent,
+                100.0 * options.tolerance
+            ),
+        );
+    }
+    (
+        true,
+        format!("{ended}; the parameters are at rest (Monte Carlo part of the error {noise})"),
+    )
+}
+
+fn parameter_results(
+    problem: &Problem<'_>,
+    start: &Parameters,
+    found: &Found,
+    samples: &Samples,
+) -> Vec<ParameterResult> {
+    let space = problem.space;
+    let names = start.flat_names();
+    let initial = start.values();
+    start
+        .places()
+        .into_iter()
+        .enumerate()
+        .map(|(j, (row, _))| {
+            let info = &start.infos()[row];
+            let (unit, scale) = match info.unit {
+                Unit::One => ("1", 1.0),
+                Unit::Angle => ("degrees", 1.0_f64.to_degrees()),
+            };
+            let value = |u: f64| scale * space.value(j, u);
+            let u = found.u[j];
+            let outer = samples.interval(space, j, 0.95);
+            let share = (outer[1] - outer[0]) / (space.upper()[j] - space.lower()[j]);
+            let verdict = if share > NOT {
+                Verdict::NotDetermined
+            } else if u <= space.lower()[j] {
+                Verdict::AtLowerBound
+            } else if u >= space.upper()[j] {
+                Verdict::AtUpperBound
+            } else if share > WEAK {
+                Verdict::WeaklyDetermined
+            } else {
+                Verdict::Determined
+            };
+            let half = samples.standard_error(j);
+            let mut result = ParameterResult {
+                name: names[j].clone(),
+                unit: unit.to_owned(),
+                value: value(u),
+                initial: scale * initial[j],
+                lower_bound: scale * info.lower,
+                upper_bound: scale * info.upper,
+                standard_error: 0.5 * (value(u + half) - value(u - half)),
+                interval_68: samples.interval(space, j, 0.68).map(value),
+                interval_95: outer.map(value),
+                range_share: share,
+                verdict,
+                sentence: String::new(),
+            };
+            result.sentence = sentence(&result);
+            result
+        })
+        .collect()
+}
+
+/// A number with three significant digits, at most five decimals.
+pub(super) fn three_digits(x: f64) -> String {
+    if x.abs() < 1e-300 {
+        return "0".to_owned();
+    }
+    let decimals = (2.0 - x.abs().log10().floor()).clamp(0.0, 5.0) as usize;
+    format!("{x:.decimals$}")
+}
+
+fn sentence(p: &ParameterResult) -> String {
+    let unit = if p.unit == "1" {
+        String::new()
+    } else {
+        format!(" {}", p.unit)
+    };
+    let [low, high] = p.interval_95.map(three_digits);
+    let value = three_digits(p.value);
+    let name = &p.name;
+    match p.verdict {
+        Verdict::Determined => {
+            format!("{name} is determined: {value}{unit} ({low}-{high} at 95 %)")
+        }
+        Verdict::WeaklyDetermined => {
+            format!("{name} is weakly determined: {value}{unit} ({low}-{high} at 95 %)")
+        }
+        Verdict::NotDetermined => {
+            format!("{name} is not determined by these configurations: {low}-{high}{unit} at 95 %")
+        }
+        Verdict::AtLowerBound => {
+            format!("{name} is at its lower bound {value}{unit}; up to {high}{unit} fits at 95 %")
+        }
+        Verdict::AtUpperBound => {
+            format!("{name} is at its upper bound {value}{unit}; down to {low}{unit} fits at 95 %")
+        }
+    }
+}
+
+fn correlation(parameters: &Parameters, matrix: &Matrix) -> Correlation {
+    Correlation {
+        names: parameters.flat_names(),
+        matrix: (0..matrix.n_rows())
+            .map(|i| matrix.row(i).to_vec())
+            .collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::three_digits;
+
+    #[test]
+    fn numbers_keep_three_digits() {
+        let text: Vec<String> = [0.0, 12.345, 0.998_7, 0.001, 1234.6, -0.056_78]
+            .into_iter()
+            .map(three_digits)
+            .collect();
+        assert_eq!(text, ["0", "12.3", "0.999", "0.00100", "1235", "-0.0568"]);
+    }
+}
