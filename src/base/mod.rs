@@ -107,6 +107,10 @@ pub trait Watch: Sync {
     fn progress(&self, stage: &str, done: u64, total: u64);
     /// True when the work should end early, keeping what is finished.
     fn cancelled(&self) -> bool;
+    /// True when moving hardware must stop at once, in the middle of whatever it does.
+    fn urgent(&self) -> bool {
+        false
+    }
 }
 
 /// A [`Watch`] that neither listens nor interrupts.

@@ -87,7 +87,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
         return Err(Error::new("--out and --camera are needed"));
     };
     let mut camera = open_camera(camera_name, &rig, &mut options)?;
-    let terminal = Terminal::new()?;
+    let terminal = Terminal::for_hardware()?;
     let summary = if let Some(wire) = &arguments.replay {
         let entries = read_wire_log(wire)?;
         terminal.say("replaying a recorded dialogue; nothing moves");

@@ -3,16 +3,17 @@
 use crate::base::{Context, Result, Watch};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// The person at the other end of stderr.
 ///
 /// On a terminal the current stage is a bar with ETA; elsewhere a plain line every five seconds. The first Ctrl-C asks
-/// the work to stop and keep what it has; the second ends the program at once.
+/// the work to end and keep what it has. The second ends the program at once, or, where hardware moves, stops it in
+/// whatever it does ([`Watch::urgent`]); there only the third ends the program.
 pub(crate) struct Terminal {
-    interrupted: Arc<AtomicBool>,
+    interrupts: Arc<AtomicU32>,
     stage: Mutex<Option<Stage>>,
     interactive: bool,
     started: Instant,
@@ -28,17 +29,33 @@ struct Stage {
 impl Terminal {
     /// Takes over Ctrl-C (and SIGTERM) for the rest of the process. Call once.
     pub(crate) fn new() -> Result<Self> {
-        let interrupted = Arc::new(AtomicBool::new(false));
-        let flag = interrupted.clone();
+        Self::with_interrupts(&[
+            "stopping after the current step; press Ctrl-C again to end at once",
+        ])
+    }
+
+    /// As [`Terminal::new`], for commands that move hardware.
+    pub(crate) fn for_hardware() -> Result<Self> {
+        Self::with_interrupts(&[
+            "stopping after the current shot; press Ctrl-C again to stop the rig now",
+            "stopping the rig now; a third Ctrl-C ends the program and leaves the rig as it is",
+        ])
+    }
+
+    /// One answer for each Ctrl-C that does not end the program.
+    fn with_interrupts(answers: &'static [&'static str]) -> Result<Self> {
+        let interrupts = Arc::new(AtomicU32::new(0));
+        let count = interrupts.clone();
         ctrlc::set_handler(move || {
-            if flag.swap(true, Ordering::SeqCst) {
-                std::process::exit(130);
+            let earlier = count.fetch_add(1, Ordering::SeqCst);
+            match answers.get(earlier as usize) {
+                Some(answer) => eprintln!("\n{answer}"),
+                None => std::process::exit(130),
             }
-            eprintln!("\nstopping after the current step; press Ctrl-C again to end at once");
         })
         .context(|| "Ctrl-C cannot be handled")?;
         Ok(Self {
-            interrupted,
+            interrupts,
             stage: Mutex::new(None),
             interactive: std::io::stderr().is_terminal(),
             started: Instant::now(),
@@ -121,6 +138,10 @@ impl Watch for Terminal {
     }
 
     fn cancelled(&self) -> bool {
-        self.interrupted.load(Ordering::SeqCst)
+        self.interrupts.load(Ordering::SeqCst) >= 1
+    }
+
+    fn urgent(&self) -> bool {
+        self.interrupts.load(Ordering::SeqCst) >= 2
     }
 }
