@@ -1,6 +1,7 @@
 //! `goniofit capture`.
 
 use super::Outcome;
+use super::output::data;
 use super::terminal::Terminal;
 use crate::base::{Error, Result};
 use crate::rig::capture::{self, CaptureOptions, PlannedShot, Summary};
@@ -217,7 +218,7 @@ fn ask(terminal: &Terminal, question: &str, yes: bool) -> Result<()> {
 fn print_summary(terminal: &Terminal, summary: &Summary, json: bool) {
     let folder = summary.session.root().display();
     if json {
-        println!(
+        data!(
             "{}",
             serde_json::json!({
                 "session": folder.to_string(),
@@ -228,7 +229,7 @@ fn print_summary(terminal: &Terminal, summary: &Summary, json: bool) {
             })
         );
     } else {
-        println!("{folder}");
+        data!("{folder}");
     }
     let end = if summary.finished {
         "finished"
@@ -275,7 +276,7 @@ fn print_plan(rig: &RigDescription, plan: &Plan, shots: &[PlannedShot], json: bo
                 })
             })
             .collect();
-        println!(
+        data!(
             "{}",
             serde_json::json!({
                 "rig": rig.name, "plan": plan.name, "frames": shots.len(), "stops": stops
@@ -283,21 +284,21 @@ fn print_plan(rig: &RigDescription, plan: &Plan, shots: &[PlannedShot], json: bo
         );
         return;
     }
-    println!(
+    data!(
         "# rig {}, plan {}, {} frames; degrees",
         rig.name,
         plan.name,
         shots.len()
     );
     let heads: Vec<&str> = AxisName::ALL.iter().map(|a| a.name()).collect();
-    println!("kind    config  frames  {}", heads.join("  "));
+    data!("kind    config  frames  {}", heads.join("  "));
     for stop in stops {
         let config = stop.shot.config.map_or("-".to_owned(), |c| c.to_string());
         let angles: Vec<String> = AxisName::ALL
             .iter()
             .map(|a| format!("{:>w$.3}", stop.angles.get(*a), w = a.name().len()))
             .collect();
-        println!(
+        data!(
             "{:<6}  {config:>6}  {:>6}  {}",
             name(stop.shot.kind),
             count(stop),

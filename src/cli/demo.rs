@@ -1,5 +1,6 @@
 //! `goniofit demo`: the whole main job on the recorded session.
 
+use super::output::data;
 use super::simulate::{Truth, read_truth};
 use super::{Outcome, fit as fit_command, measure as measure_command, render, terminal::Terminal};
 use crate::base::{Context, Error, Result};
@@ -71,12 +72,13 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     let Some(judged) = &result.truth else {
         return Ok(Outcome::Done);
     };
-    println!(
+    data!(
         "against the noise-free truth: {:.2} +- {:.2} % weighted rms over 48 numbers (goal {GOAL_PERCENT} %)",
-        judged.weighted_rms_percent, judged.weighted_rms_se_percent
+        judged.weighted_rms_percent,
+        judged.weighted_rms_se_percent
     );
     let out = a.out.display();
-    println!(
+    data!(
         "look at {out}/report.html; data in {out}/session, {out}/measurements.csv, {out}/fit.json"
     );
     let good = judged.weighted_rms_percent <= GOAL_PERCENT;

@@ -1,12 +1,13 @@
 //! `goniofit fabric`.
 
-use super::Outcome;
-use crate::base::{Context, Error, Result};
+use super::output::data;
+use super::{Outcome, inputs};
+use crate::base::{Context, Result};
 use crate::fabric::{self, Fabric, FabricReport, Format};
 use crate::report::swatch::{self, Line};
+use crate::session::files;
 use clap::{Parser, Subcommand, ValueEnum};
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
   goniofit fabric describe fabrics/gabardine.toml
@@ -161,14 +162,15 @@ fn describe(arguments: &Describe) -> Result<()> {
     } else {
         in_words(&fabric)
     };
-    print(&text)
+    data!("{text}");
+    Ok(())
 }
 
 fn export(arguments: &Export) -> Result<()> {
-    refuse_existing(&arguments.out, arguments.force)?;
+    inputs::refuse_overwriting(&arguments.out, arguments.force)?;
     let fabric = fabric::load(&arguments.fabric)?;
     let bytes = fabric::export(&fabric.tile, arguments.format.into())?;
-    write_whole(&arguments.out, &bytes)?;
+    files::write_atomic(&arguments.out, &bytes)?;
     eprintln!(
         "{}: {} fibers, {} segments, tile {} x {} mm",
         arguments.out.display(),
@@ -186,14 +188,14 @@ fn export(arguments: &Export) -> Result<()> {
 }
 
 fn import(arguments: &Import) -> Result<()> {
-    refuse_existing(&arguments.out, arguments.force)?;
+    inputs::refuse_overwriting(&arguments.out, arguments.force)?;
     let format = match arguments.format {
         Some(name) => name.into(),
         None => Format::choose(None, &arguments.file)?,
     };
     let tile = fabric::import(&arguments.file, format, arguments.tile)?;
     let bytes = fabric::export(&tile, Format::Csv)?;
-    write_whole(&arguments.out, &bytes)?;
+    files::write_atomic(&arguments.out, &bytes)?;
     eprintln!(
         "{}: {} segments, tile {} x {} mm",
         arguments.out.display(),
@@ -205,7 +207,7 @@ fn import(arguments: &Import) -> Result<()> {
 }
 
 fn picture(arguments: &Picture) -> Result<()> {
-    refuse_existing(&arguments.out, arguments.force)?;
+    inputs::refuse_overwriting(&arguments.out, arguments.force)?;
     let fabric = fabric::load(&arguments.fabric)?;
     let lines: Vec<Line> = fabric::curves(&fabric.tile)
         .into_iter()
@@ -216,29 +218,7 @@ fn picture(arguments: &Picture) -> Result<()> {
         })
         .collect();
     let png = swatch::picture(&lines, fabric.tile.size, arguments.width)?;
-    write_whole(&arguments.out, &png)
-}
-
-fn refuse_existing(path: &Path, force: bool) -> Result<()> {
-    if force || !path.exists() {
-        return Ok(());
-    }
-    Err(Error::new(format!("{} exists already", path.display()))
-        .with_hint("--force replaces it; or choose another --out"))
-}
-
-/// Writes beside the target first, so that a failure leaves nothing half written under its name.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(".part");
-    let part = path.with_file_name(name);
-    std::fs::write(&part, bytes)
-        .and_then(|()| std::fs::rename(&part, path))
-        .context(|| format!("{} cannot be written", path.display()))
-}
-
-fn print(text: &str) -> Result<()> {
-    writeln!(std::io::stdout(), "{text}").context(|| "the answer cannot be printed")
+    files::write_atomic(&arguments.out, &png)
 }
 
 fn in_words(fabric: &Fabric) -> String {

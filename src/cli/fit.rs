@@ -1,5 +1,6 @@
 //! `goniofit fit`.
 
+use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
 use crate::base::{Context, Result};
 use crate::fit::{Budget, FitResult, Method, Options, fit, refuse_existing};
@@ -118,7 +119,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     result.write(&fit_path, a.force)?;
     files::write_atomic(&page_path, page(&result, &Provenance::default()).as_bytes())?;
     if a.json {
-        print!("{}", result.to_json()?);
+        data!("{}", result.to_json()?.trim_end());
     } else {
         print_table(&result);
     }
@@ -173,12 +174,12 @@ pub(crate) fn command_line() -> String {
 /// The fit as a table for people.
 pub(crate) fn print_table(result: &FitResult) {
     if result.synthetic == Some(true) {
-        println!("SYNTHETIC measurements: rendered, not photographed");
+        data!("SYNTHETIC measurements: rendered, not photographed");
     }
-    println!("parameter        value     95 % interval        bounds            verdict");
+    data!("parameter        value     95 % interval        bounds            verdict");
     for p in &result.uncertainty {
         let unit = if p.unit == "1" { "" } else { "deg" };
-        println!(
+        data!(
             "{:<10} {:>11.4} {:>9.4} to {:<9.4} {:>7.3} to {:<7.3} {:<3} {}",
             p.name,
             p.value,
@@ -191,11 +192,14 @@ pub(crate) fn print_table(result: &FitResult) {
         );
     }
     let o = &result.objective;
-    println!(
+    data!(
         "weighted rms residual {:.2} +- {:.2} % over {} numbers; measurement errors alone leave {:.2} %",
-        o.weighted_rms_percent, o.weighted_rms_se_percent, o.n, o.measurement_rms_percent
+        o.weighted_rms_percent,
+        o.weighted_rms_se_percent,
+        o.n,
+        o.measurement_rms_percent
     );
-    println!(
+    data!(
         "{}: {} ({} camera paths, {:.1} s, {:.1} s CPU)",
         if result.converged {
             "converged"

@@ -29,7 +29,7 @@ pub(crate) fn fraction(text: &str) -> Result<f64, String> {
 pub(crate) fn refuse_overwriting(path: &Path, force: bool) -> Result<()> {
     if path.exists() && !force {
         return Err(Error::new(format!("{} exists already", path.display()))
-            .with_hint("choose another name, or say --force to replace it"));
+            .with_hint("--force replaces it; or choose another name"));
     }
     Ok(())
 }

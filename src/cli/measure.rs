@@ -1,8 +1,9 @@
 //! `goniofit measure`: statistics of one frame, or the intensities of a session.
 
-use super::Outcome;
+use super::output::data;
 use super::terminal::Terminal;
-use crate::base::{Context, Error, Result};
+use super::{Outcome, inputs};
+use crate::base::{Context, Result};
 use crate::measure::{self, Crop, FrameStatistics, MeasureOptions, MeasureReport, RawFrame};
 use crate::session::{FrameKind, Measurements, SessionFolder, files};
 use clap::{Args, Subcommand};
@@ -123,7 +124,7 @@ fn frame(arguments: &FrameArguments) -> Result<Outcome> {
         .context(|| arguments.file.display().to_string())?;
     if arguments.json {
         let value = frame_json(&arguments.file, &frame, &statistics);
-        println!("{}", pretty(&value)?);
+        data!("{}", pretty(&value)?);
     } else {
         print_frame(&frame, &statistics);
     }
@@ -163,23 +164,37 @@ fn frame_json(file: &Path, frame: &RawFrame, statistics: &FrameStatistics) -> se
 
 fn print_frame(frame: &RawFrame, statistics: &FrameStatistics) {
     let [top, right, bottom, left] = frame.margins;
-    println!(
+    data!(
         "{} {}: {} x {} visible pixels (margins top {top}, right {right}, bottom {bottom}, left {left}), {}, white {}",
-        frame.make, frame.model, frame.width, frame.height, frame.cfa, frame.white
+        frame.make,
+        frame.model,
+        frame.width,
+        frame.height,
+        frame.cfa,
+        frame.white
     );
     if let Some(ms) = frame.exposure_ms {
-        println!("exposure {ms} ms");
+        data!("exposure {ms} ms");
     }
     let crop = statistics.crop;
-    println!(
+    data!(
         "crop {},{},{},{}; raw values, black not subtracted:",
-        crop.x, crop.y, crop.width, crop.height
+        crop.x,
+        crop.y,
+        crop.width,
+        crop.height
     );
-    println!("channel         mean    min    max  clipped   pixels    black");
+    data!("channel         mean    min    max  clipped   pixels    black");
     for c in &statistics.channels {
-        println!(
+        data!(
             "{:<7} {:>12.4} {:>6} {:>6} {:>8} {:>8} {:>8}",
-            c.channel, c.mean, c.min, c.max, c.clipped, c.pixels, c.black
+            c.channel,
+            c.mean,
+            c.min,
+            c.max,
+            c.clipped,
+            c.pixels,
+            c.black
         );
     }
 }
@@ -190,10 +205,7 @@ fn session(arguments: &SessionArguments) -> Result<Outcome> {
         .out
         .clone()
         .unwrap_or_else(|| arguments.folder.join("measurements.csv"));
-    if out.exists() && !arguments.force {
-        return Err(Error::new(format!("{} exists already", out.display()))
-            .with_hint("give --force to replace it, or another file with --out"));
-    }
+    inputs::refuse_overwriting(&out, arguments.force)?;
     let terminal = Terminal::new()?;
     let (measurements, report) =
         measure::measure_session(&session, &MeasureOptions::default(), &terminal)?;
@@ -201,7 +213,7 @@ fn session(arguments: &SessionArguments) -> Result<Outcome> {
     tell(&terminal, &session, &report)?;
     terminal.say(format!("wrote {}", out.display()));
     if arguments.json {
-        println!("{}", pretty(&session_json(&measurements, &report))?);
+        data!("{}", pretty(&session_json(&measurements, &report))?);
     } else {
         print_table(&measurements, &report);
     }
@@ -258,17 +270,17 @@ fn session_json(measurements: &Measurements, report: &MeasureReport) -> serde_js
 
 fn print_table(measurements: &Measurements, report: &MeasureReport) {
     if report.synthetic {
-        println!("# synthetic");
+        data!("# synthetic");
     }
-    println!("# normalized radiance pi L / E_normal, +- standard error");
-    println!("config           r                   g                   b            exposures ms");
+    data!("# normalized radiance pi L / E_normal, +- standard error");
+    data!("config           r                   g                   b            exposures ms");
     for c in &report.configurations {
         let found = measurements
             .intensities
             .iter()
             .find(|i| i.configuration.id == c.config);
         let Some(i) = found else {
-            println!("{:>6}   not measured: {:?}", c.config, c.condition);
+            data!("{:>6}   not measured: {:?}", c.config, c.condition);
             continue;
         };
         let cells: Vec<String> = i
@@ -278,6 +290,6 @@ fn print_table(measurements: &Measurements, report: &MeasureReport) {
             .map(|(m, s)| format!("{m:.5} +- {s:.5}"))
             .collect();
         let times: Vec<String> = c.exposures_ms.iter().map(f64::to_string).collect();
-        println!("{:>6}  {}  {}", c.config, cells.join("  "), times.join(" "));
+        data!("{:>6}  {}  {}", c.config, cells.join("  "), times.join(" "));
     }
 }

@@ -1,5 +1,6 @@
 //! `goniofit render`: what a fabric would look like to the rig.
 
+use super::output::data;
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Result};
 use crate::render::{Effort, Estimates, FiberScene, FiberSceneOptions, Request, Scene};
@@ -98,7 +99,7 @@ fn means(a: &MeansArguments) -> Result<Outcome> {
     let estimates = scene.estimate(&request, &terminal)?;
     terminal.finish_stage();
     if a.json {
-        println!("{}", as_json(&estimates, &parameters, a));
+        data!("{}", as_json(&estimates, &parameters, a));
     } else {
         print_table(&estimates, &parameters, a.derivatives);
     }
@@ -145,18 +146,22 @@ fn as_json(estimates: &Estimates, parameters: &Parameters, a: &MeansArguments) -
 }
 
 fn print_table(estimates: &Estimates, parameters: &Parameters, derivatives: bool) {
-    println!("config        r        g        b     r_se     g_se     b_se    paths");
+    data!("config        r        g        b     r_se     g_se     b_se    paths");
     for e in &estimates.configurations {
         let ([r, g, b], [sr, sg, sb]) = (e.mean, e.standard_error);
-        println!(
+        data!(
             "{:6} {r:8.5} {g:8.5} {b:8.5} {sr:8.5} {sg:8.5} {sb:8.5} {:8}",
-            e.config, e.paths
+            e.config,
+            e.paths
         );
         if derivatives {
             for (info, d) in parameters.infos().iter().zip(&e.derivative) {
-                println!(
+                data!(
                     "       d/d {:<9} {:12.5e} {:12.5e} {:12.5e}",
-                    info.name, d[0], d[1], d[2]
+                    info.name,
+                    d[0],
+                    d[1],
+                    d[2]
                 );
             }
         }

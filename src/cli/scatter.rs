@@ -1,13 +1,13 @@
 //! `goniofit scatter`: list the models, evaluate one, integrate its albedos.
 
-use super::Outcome;
+use super::{Outcome, output};
 use crate::base::{Context, Error, Result};
 use crate::scatter::albedo::{SphereRule, directional_albedo, reverse_albedo};
 use crate::scatter::{
     CHANNELS, Model, ParameterInfo, Parameters, Scattering, Unit, fiber_direction, model, models,
 };
 use serde_json::{Value, json};
-use std::io::{ErrorKind, Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Evaluate a scattering model
@@ -115,12 +115,8 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
         Command::Eval(a) => eval(&a)?,
         Command::Albedo(a) => albedo(&a)?,
     };
-    match std::io::stdout().lock().write_all(text.as_bytes()) {
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(Outcome::Done),
-        other => other
-            .map(|()| Outcome::Done)
-            .context(|| "stdout cannot be written"),
-    }
+    output::write(format_args!("{text}"));
+    Ok(Outcome::Done)
 }
 
 // ---- list ----------------------------------------------------------------------------------------------------------

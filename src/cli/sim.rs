@@ -1,6 +1,7 @@
 //! `goniofit sim`.
 
 use super::Outcome;
+use super::output::data;
 use super::terminal::Terminal;
 use crate::base::{Context, Error, Result, Watch};
 use crate::rig::simulated::model_options;
@@ -102,13 +103,13 @@ fn print_paths(
                 serde_json::json!({"board": name, "flavor": flavor, "path": simulator.path()})
             })
             .collect();
-        println!("{}", serde_json::json!({ "boards": boards }));
+        data!("{}", serde_json::json!({ "boards": boards }));
     } else {
         for (name, _, simulator) in running {
             if with_names {
-                println!("{name} {}", simulator.path());
+                data!("{name} {}", simulator.path());
             } else {
-                println!("{}", simulator.path());
+                data!("{}", simulator.path());
             }
         }
     }

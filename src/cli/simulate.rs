@@ -1,5 +1,6 @@
 //! `goniofit simulate`: a synthetic capture session of a rendered fabric.
 
+use super::output::data;
 use super::render::fiber_scene;
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
@@ -130,7 +131,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         a.out.display()
     ));
     if a.json {
-        println!(
+        data!(
             "{}",
             json!({"session": a.out, "frames": summary.frames, "synthetic": true, "truth": truth})
         );
