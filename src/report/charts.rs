@@ -243,12 +243,12 @@ fn parameter(d: &mut Drawing, p: &ParameterResult, truth: Option<f64>, y: f64) {
         scale,
         low: p.lower_bound,
         high: p.upper_bound,
-        from: 96.0,
-        to: WIDTH - 78.0,
+        from: 114.0,
+        to: WIDTH - 104.0,
     };
     let unit = if p.unit == "1" { "" } else { "°" };
-    d.text("label", 58.0, y + 4.0, "end", &p.name);
-    d.text("tick", 91.0, y + 3.5, "end", &trimmed(p.lower_bound));
+    d.text("label", 70.0, y + 4.0, "end", &p.name);
+    d.text("tick", 108.0, y + 3.5, "end", &trimmed(p.lower_bound));
     d.text(
         "tick",
         x.to + 5.0,
