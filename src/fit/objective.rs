@@ -255,29 +255,25 @@ pub(super) fn paired_against(
     pair: &RenderPair,
 ) -> PairedValue {
     let rho = channel_correlation(pair.standardized_differences());
-    let (mut value, mut variance) = (0.0, 0.0);
+    let (mut value, mut variance, mut floor) = (0.0, 0.0, 0.0);
     for ((target, w), [a, b]) in targets.iter().zip(weights).zip(pair.estimates()) {
         let e1: [f64; CHANNELS] = std::array::from_fn(|c| a.mean[c] - target[c]);
         let e2: [f64; CHANNELS] = std::array::from_fn(|c| b.mean[c] - target[c]);
         value += w * (0..CHANNELS).map(|c| e1[c] * e2[c]).sum::<f64>();
-        let mut of_configuration = 0.0;
         for c in 0..CHANNELS {
             for d in 0..CHANNELS {
                 let s1 = rho[c][d] * a.standard_error[c] * a.standard_error[d];
                 let s2 = rho[c][d] * b.standard_error[c] * b.standard_error[d];
                 let rr = 0.5 * (e1[c] * e2[d] + e1[d] * e2[c]);
-                of_configuration += rr * (s1 + s2) + s1 * s2;
+                variance += w * w * (rr * (s1 + s2) + s1 * s2);
             }
+            floor += (w * a.standard_error[c] * b.standard_error[c]).powi(2);
         }
-        // The plug-in may come out negative where r is small; the noise product alone is then the best guess.
-        let floor: f64 = (0..CHANNELS)
-            .map(|c| (a.standard_error[c] * b.standard_error[c]).powi(2))
-            .sum();
-        variance += w * w * of_configuration.max(floor);
     }
+    // The plug-in may come out too small where all r are small; the noise products alone are a lower bound.
     PairedValue {
         value,
-        standard_error: variance.sqrt(),
+        standard_error: variance.max(floor).sqrt(),
     }
 }
 

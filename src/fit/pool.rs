@@ -12,13 +12,16 @@
 //! The minimizer `u0 - H^-1 g0` is the average of iterates minus a common Newton step. The curvature leaves out the
 //! second derivatives of the means, as Gauss-Newton does.
 
-use super::linear::{Matrix, eigen};
+use super::linear::{Matrix, dot, eigen};
 use super::objective::{ChannelCorrelation, Objective, RenderPair, channel_correlation};
 use super::space::SearchSpace;
 use crate::scatter::{CHANNELS, Parameters};
 
 /// Monte Carlo error of a number, relative to its configuration's brightness, at which it gets half of its weight.
 const SETTLED: f64 = 0.05;
+
+/// The same for its derivatives by search coordinates.
+const STEEP: f64 = 0.1;
 
 /// Size of the second-order term of a mean by a search coordinate, relative to the first: one half for an exponential,
 const NONLINEARITY: f64 = 1.0;
@@ -68,6 +71,17 @@ pub(super) struct LinearModel {
     pub(super) jacobian: Matrix,
     /// Weight of each number.
     pub(super) weights: Vec<f64>,
+}
+
+/// One of the directions that diagonalize the curvature: along `step` it is `curvature`, and the curvature matrix is the
+/// sum over directions of `curvature form form'`.
+#[derive(Debug, Clone)]
+pub(super) struct Direction {
+    pub(super) curvature: f64,
+    /// How much curvature noise could feign.
+    pub(super) unseen: f64,
+    pub(super) step: Vec<f64>,
+    pub(super) form: Vec<f64>,
 }
 
 impl Pool {
@@ -184,27 +198,23 @@ impl Pool {
             .collect();
         let sum: f64 = v.iter().sum();
         v.iter_mut().for_each(|x| *x /= sum);
-        if std::env::var_os("DIAG").is_some() {
-            eprintln!("  v {v:.3?}");
-        }
         self.assemble(&v)
     }
 
-    /// The objective's weights, less for numbers whose Monte Carlo error is still large:
-    /// `w_m / (1 + w_m var_m / SETTLED^2)`. They tend to the objective's own as paths grow.
+    /// The objective's weights, less for numbers whose mean or derivatives are still noisy:
+    /// `w_m / [1 + w_m (var R_m / SETTLED^2 + sum_j var J_mj / STEEP^2)]`. They tend to the objective's own as paths grow.
     fn weights_for_now(&self, v: &[f64]) -> Vec<f64> {
         let variances = self.path_variances();
         (0..self.weights.len())
             .map(|m| {
                 let i = m / CHANNELS;
-                let per_path: f64 = self
-                    .records
-                    .iter()
-                    .zip(v)
-                    .map(|(r, v)| v * v / r.paths[i])
+                let used = || self.records.iter().zip(v).filter(|(_, v)| **v > 0.0);
+                let per_path: f64 = used().map(|(r, v)| v * v / r.paths[i]).sum();
+                let of_jacobian: f64 = used()
+                    .map(|(r, v)| v * v * r.jacobian_variance.row(m).iter().sum::<f64>())
                     .sum();
-                let w = self.weights[m];
-                w / (1.0 + w * variances[m] * per_path / SETTLED.powi(2))
+                let noise = variances[m] * per_path / SETTLED.powi(2) + of_jacobian / STEEP.powi(2);
+                self.weights[m] / (1.0 + self.weights[m] * noise)
             })
             .collect()
     }
@@ -305,31 +315,6 @@ impl Pool {
         noise
     }
 
-    pub(super) fn diag(&self, model: &LinearModel, base: &[f64], next: &[f64]) {
-        let g = model.gradient_at(base, &model.curvature);
-        for (value, e) in eigen(&model.curvature) {
-            let unseen: f64 = e
-                .iter()
-                .zip(&model.curvature_noise)
-                .map(|(e, b)| e * e * b)
-                .sum();
-            let mc = model.monte_carlo.form(&e, &e).sqrt();
-            let ge: f64 = g.iter().zip(&e).map(|(a, b)| a * b).sum();
-            let st: f64 = next
-                .iter()
-                .zip(base)
-                .zip(&e)
-                .map(|((a, b), e)| (a - b) * e)
-                .sum();
-            eprintln!(
-                "   lambda {value:9.5} unseen {unseen:9.5} mc/0.4 {:9.5} newton {:8.4} +- {:8.4} step {st:8.4}  e {e:5.2?}",
-                mc / 0.4,
-                -ge / value,
-                mc / value.abs()
-            );
-        }
-    }
-
     /// Variance of one path's contribution to each number, pooled over all renders.
     fn path_variances(&self) -> Vec<f64> {
         (0..self.weights.len())
@@ -402,48 +387,78 @@ impl LinearModel {
             .collect()
     }
 
-    /// The curvature made safely positive for a step. Along an eigenvector of eigenvalue l, with unseen curvature b and
-    /// gradient variance v, it is `l [1 + (2 b / l)^2 + v / (l reach)^2]`: a step is shortened as the best linear guess
-    /// of a distance of size `reach` would be, and a direction lost in noise keeps its place.
-    pub(super) fn damped_curvature(&self, reach: f64) -> Matrix {
-        let pairs = eigen(&self.curvature);
-        let largest = pairs.iter().fold(0.0_f64, |m, (value, _)| m.max(*value));
+    /// Unit lengths in which the curvature's noise is about the same along every axis. Without them a precisely known
+    /// parameter would share its eigenvectors, and their damping, with a noisy one.
+    fn scales(&self) -> Vec<f64> {
         let p = self.curvature.n_rows();
+        let largest = (0..p).fold(0.0_f64, |m, j| m.max(self.curvature[(j, j)]));
+        (0..p)
+            .map(|j| {
+                let floor = 1e-4 * self.curvature[(j, j)].max(0.0) + 1e-9 * largest + 1e-30;
+                (self.curvature_noise[j] + floor).sqrt().recip()
+            })
+            .collect()
+    }
+
+    /// Eigenvectors of the curvature in the unit lengths of [`LinearModel::scales`].
+    fn directions(&self, scales: &[f64]) -> Vec<Direction> {
+        let p = scales.len();
+        let mut scaled = Matrix::zeros(p, p);
+        for i in 0..p {
+            for j in 0..p {
+                scaled[(i, j)] = scales[i] * self.curvature[(i, j)] * scales[j];
+            }
+        }
+        eigen(&scaled)
+            .into_iter()
+            .map(|(curvature, vector)| {
+                let step: Vec<f64> = vector.iter().zip(scales).map(|(e, s)| e * s).collect();
+                let noise = |(x, b): (&f64, &f64)| x * x * b;
+                Direction {
+                    curvature,
+                    unseen: step.iter().zip(&self.curvature_noise).map(noise).sum(),
+                    form: vector.iter().zip(scales).map(|(e, s)| e / s).collect(),
+                    step,
+                }
+            })
+            .collect()
+    }
+
+    /// The curvature made safely positive for a step. Along a direction of curvature l, with unseen curvature b and
+    /// Newton step of standard deviation s, it is `l [1 + (2 b / l)^2 + (s / reach)^2]`: a step is shortened as the best
+    /// linear guess of a distance of size `reach` would be, and a direction lost in noise keeps its place.
+    pub(super) fn damped_curvature(&self, reach: f64) -> Matrix {
+        let p = self.curvature.n_rows();
+        let scales = self.scales();
+        let directions = self.directions(&scales);
+        let largest = directions.iter().fold(0.0_f64, |m, d| m.max(d.curvature));
         let mut damped = Matrix::zeros(p, p);
-        for (value, e) in &pairs {
-            let variance = self.monte_carlo.form(e, e).max(0.0);
-            let unseen: f64 = e
-                .iter()
-                .zip(&self.curvature_noise)
-                .map(|(e, b)| e * e * b)
-                .sum();
-            let l = value.max(0.1 * unseen).max(1e-9 * largest).max(1e-15);
-            let noise = (2.0 * unseen / l).powi(2) + variance / (l * reach).powi(2);
-            let safe = l.max(unseen) * (1.0 + noise);
+        for d in &directions {
+            let l = d
+                .curvature
+                .max(0.1 * d.unseen)
+                .max(1e-9 * largest)
+                .max(1e-12);
+            let variance = self.monte_carlo.form(&d.step, &d.step).max(0.0) / (l * l);
+            let length = dot(&d.step, &d.step);
+            let noise = (2.0 * d.unseen / l).powi(2) + variance * length / (reach * reach);
+            let safe = l.max(d.unseen) * (1.0 + noise);
             for i in 0..p {
                 for j in 0..p {
-                    damped[(i, j)] += safe * e[i] * e[j];
+                    damped[(i, j)] += safe * d.form[i] * d.form[j];
                 }
             }
         }
         damped
     }
 
-    /// The curvature along the directions the data see: eigenvalues below three times the noise floor are left out.
-    /// Returns `(eigenvalue, eigenvector)` pairs.
-    pub(super) fn seen_directions(&self) -> Vec<(f64, Vec<f64>)> {
-        let pairs = eigen(&self.curvature);
-        let largest = pairs.iter().fold(0.0_f64, |m, (value, _)| m.max(*value));
-        pairs
+    /// The directions along which the data see the curvature: more than three times what noise could feign.
+    pub(super) fn seen_directions(&self) -> Vec<Direction> {
+        let directions = self.directions(&self.scales());
+        let largest = directions.iter().fold(0.0_f64, |m, d| m.max(d.curvature));
+        directions
             .into_iter()
-            .filter(|(value, e)| {
-                let unseen: f64 = e
-                    .iter()
-                    .zip(&self.curvature_noise)
-                    .map(|(e, b)| e * e * b)
-                    .sum();
-                *value > 3.0 * unseen && *value > 1e-9 * largest && *value > 0.0
-            })
+            .filter(|d| d.curvature > (3.0 * d.unseen).max(1e-9 * largest))
             .collect()
     }
 

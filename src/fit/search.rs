@@ -228,13 +228,6 @@ pub(super) fn search(
             accepted: !worse,
         });
         shares = pool.shares(&model, Some(&inverse_curvature));
-        if std::env::var_os("DIAG").is_some() {
-            eprintln!(
-                "it {index} trust {trust:.2} moved {moved:.4} noise {noise:.4} shares {:.1?}",
-                shares
-            );
-            pool.diag(&model, &base, &next);
-        }
         let settled = index >= 4 && moved <= 2.0 * noise && !worse;
         let enough = match options.budget.accuracy {
             Some(accuracy) if noise <= accuracy => Some(Stop::Accuracy),

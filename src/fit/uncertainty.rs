@@ -8,7 +8,7 @@
 //! interval, and one the data do not see gets its whole range. Errors of different numbers are taken as independent;
 //! a scale error common to all measurements is not included.
 
-use super::linear::{Matrix, inverse};
+use super::linear::{Matrix, dot, inverse};
 use super::pool::LinearModel;
 use super::space::SearchSpace;
 use crate::math::Random;
@@ -108,24 +108,26 @@ fn precision(u: &[f64], model: &LinearModel, noise: &Matrix) -> (Matrix, Vec<f64
     let mut center = u.to_vec();
     let gradient = model.gradient_at(u, &model.curvature);
     let mut covariance = Matrix::zeros(k, k);
-    for (a, (value_a, e_a)) in seen.iter().enumerate() {
-        let along: f64 = e_a.iter().zip(&gradient).map(|(e, g)| e * g).sum();
-        for (x, e) in center.iter_mut().zip(e_a) {
-            *x -= along / value_a * e;
+    for (a, of_a) in seen.iter().enumerate() {
+        let along = dot(&of_a.step, &gradient) / of_a.curvature;
+        for (x, s) in center.iter_mut().zip(&of_a.step) {
+            *x -= along * s;
         }
-        for (b, (value_b, e_b)) in seen.iter().enumerate() {
-            covariance[(a, b)] = noise.form(e_a, e_b) / (value_a * value_b);
+        for (b, of_b) in seen.iter().enumerate() {
+            covariance[(a, b)] =
+                noise.form(&of_a.step, &of_b.step) / (of_a.curvature * of_b.curvature);
         }
-        // Exact data and exact renders would make the covariance singular.
-        covariance[(a, a)] = covariance[(a, a)] * (1.0 + 1e-9) + 1e-16;
+        // Exact data and exact renders would make the covariance singular; 1e-8 is a step too small to matter.
+        let tiny = 1e-16 / dot(&of_a.step, &of_a.step).max(1e-300);
+        covariance[(a, a)] = covariance[(a, a)] * (1.0 + 1e-9) + tiny;
     }
     let mut precision = Matrix::zeros(p, p);
     if let Some(inner) = inverse(&covariance) {
-        for (a, (_, e_a)) in seen.iter().enumerate() {
-            for (b, (_, e_b)) in seen.iter().enumerate() {
+        for (a, of_a) in seen.iter().enumerate() {
+            for (b, of_b) in seen.iter().enumerate() {
                 for i in 0..p {
                     for j in 0..p {
-                        precision[(i, j)] += inner[(a, b)] * e_a[i] * e_b[j];
+                        precision[(i, j)] += inner[(a, b)] * of_a.form[i] * of_b.form[j];
                     }
                 }
             }
