@@ -17,14 +17,8 @@ use super::objective::{ChannelCorrelation, Objective, RenderPair, channel_correl
 use super::space::SearchSpace;
 use crate::scatter::{CHANNELS, Parameters};
 
-/// Monte Carlo error of a number, relative to its configuration's brightness, at which it gets half of its weight.
-const SETTLED: f64 = 0.05;
-
-/// The same for its derivatives by search coordinates.
-const STEEP: f64 = 0.1;
-
-/// Size of the second-order term of a mean by a search coordinate, relative to the first: one half for an exponential,
-const NONLINEARITY: f64 = 1.0;
+/// By how much the curvature for a step is raised along each coordinate.
+const MARQUARDT: f64 = 0.05;
 
 /// One render, in search coordinates.
 #[derive(Debug, Clone)]
@@ -151,77 +145,23 @@ impl Pool {
         self.differences.extend(pair.standardized_differences());
     }
 
-    /// The model for steps near `u`: renders count by the inverse of their mean squared error there, noise plus the
-    /// square of the linearization error. `jacobian` is an earlier average; without one only renders made at `u` count.
-    ///
-    /// Search coordinates are logarithmic, so each coordinate is taken to act on its part of a mean like an
-    /// exponential: the second-order error over a distance d is `NONLINEARITY sum_j |J_mj| d_j^2`.
-    pub(super) fn model(&self, u: &[f64], jacobian: Option<&Matrix>) -> LinearModel {
-        let n = self.weights.len() as f64;
-        let variances = self.path_variances();
-        let mut v: Vec<f64> = self
-            .records
-            .iter()
-            .map(|record| {
-                // From pooled variances: a render's own error estimate is correlated with its mean.
-                let noise: f64 = (0..self.weights.len())
-                    .map(|m| self.weights[m] * variances[m] / record.paths[m / CHANNELS])
-                    .sum::<f64>()
-                    / n;
-                let squares: Vec<f64> = record
-                    .u
-                    .iter()
-                    .zip(u)
-                    .map(|(a, b)| (a - b).powi(2))
-                    .collect();
-                let here = squares.iter().all(|d| *d < 1e-24);
-                let bias = match jacobian {
-                    _ if here => 0.0,
-                    None => return 0.0,
-                    Some(jacobian) => {
-                        let error = |m: usize| -> f64 {
-                            jacobian
-                                .row(m)
-                                .iter()
-                                .zip(&squares)
-                                .map(|(j, d)| j.abs() * d)
-                                .sum::<f64>()
-                        };
-                        let sum: f64 = (0..self.weights.len())
-                            .map(|m| self.weights[m] * error(m).powi(2))
-                            .sum();
-                        NONLINEARITY.powi(2) * sum / n
-                    }
-                };
-                1.0 / (noise + bias).max(1e-300)
-            })
-            .collect();
-        let sum: f64 = v.iter().sum();
-        v.iter_mut().for_each(|x| *x /= sum);
-        self.assemble(&v)
+    /// Forgets all but the latest `pairs`.
+    pub(super) fn keep_latest(&mut self, pairs: usize) {
+        let excess = self.records.len().saturating_sub(2 * pairs);
+        self.records.drain(..excess);
     }
 
-    /// The objective's weights, less for numbers whose mean or derivatives are still noisy:
-    /// `w_m / [1 + w_m (var R_m / SETTLED^2 + sum_j var J_mj / STEEP^2)]`. They tend to the objective's own as paths grow.
-    fn weights_for_now(&self, v: &[f64]) -> Vec<f64> {
-        let variances = self.path_variances();
-        (0..self.weights.len())
-            .map(|m| {
-                let i = m / CHANNELS;
-                let used = || self.records.iter().zip(v).filter(|(_, v)| **v > 0.0);
-                let per_path: f64 = used().map(|(r, v)| v * v / r.paths[i]).sum();
-                let of_jacobian: f64 = used()
-                    .map(|(r, v)| v * v * r.jacobian_variance.row(m).iter().sum::<f64>())
-                    .sum();
-                let noise = variances[m] * per_path / SETTLED.powi(2) + of_jacobian / STEEP.powi(2);
-                self.weights[m] / (1.0 + self.weights[m] * noise)
-            })
-            .collect()
+    /// The model of all renders, each counting by its paths. They must have been made near each other.
+    pub(super) fn model(&self) -> LinearModel {
+        let paths = |r: &Record| r.paths.iter().sum::<f64>();
+        let all: f64 = self.records.iter().map(paths).sum();
+        let v: Vec<f64> = self.records.iter().map(|r| paths(r) / all).collect();
+        self.assemble(&v)
     }
 
     /// The model with the given weights over records.
     fn assemble(&self, v: &[f64]) -> LinearModel {
-        let weights = self.weights_for_now(v);
+        let weights = self.weights.clone();
         let (n, p) = (self.weights.len(), self.records[0].u.len());
         let mut center = vec![0.0; p];
         let mut residual = vec![0.0; n];
@@ -422,6 +362,16 @@ impl LinearModel {
                 }
             })
             .collect()
+    }
+
+    /// The curvature for a step: the Gram matrix of the averaged Jacobian, which noise can only enlarge, with its diagonal
+    /// raised a little (Marquardt 1963).
+    pub(super) fn marquardt_curvature(&self) -> Matrix {
+        let mut curvature = self.jacobian.weighted_gram(&self.weights, &self.jacobian);
+        for j in 0..curvature.n_rows() {
+            curvature[(j, j)] = (1.0 + MARQUARDT) * curvature[(j, j)] + 1e-12;
+        }
+        curvature
     }
 
     /// The curvature made safely positive for a step. Along a direction of curvature l, with unseen curvature b and

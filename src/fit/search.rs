@@ -1,10 +1,11 @@
 //! The search: stochastic Gauss-Newton on fresh render pairs inside the parameters' bounds.
 //!
-//! Every iteration renders one new pair at the present point, adds it to the [`Pool`], and minimizes the pool's linear
-//! model in the box of the bounds cut by a trust region (a box too). Because the pool's minimizer is the weighted mean
-//! of all iterates minus one common Newton step, an iteration's share in the answer is about its share of the paths:
-//! stochastic approximation with a matrix gain `n_k / sum n` (Polyak and Juditsky 1992), with renders made far away
-//! forgotten. Path counts grow once steps are lost in noise. Finds a local minimum; does not restart from elsewhere.
+//! First it descends: every iteration renders a new pair at the present point and takes one Gauss-Newton step from that
+//! pair alone, inside the bounds and a trust region (a box too). Renders made elsewhere are forgotten: while steps are
+//! large they say little about the minimum. When the paired objective no longer falls beyond its noise, it averages: pairs
+//! grow, and the last few of them together, a [`Pool`], make a linear model that is minimized in the bounds. The pool's
+//! minimizer is the path-weighted mean of the iterates minus one common Newton step, stochastic approximation with the
+//! matrix gain `n_k / sum n` (Polyak and Juditsky 1992). Finds a local minimum; does not restart from elsewhere.
 
 use super::linear::{Matrix, box_quadratic, inverse};
 use super::objective::{Objective, PairedValue, RenderPair, rms_of};
@@ -21,10 +22,16 @@ const SEARCH_SHARE: f64 = 0.75;
 const TRUST: (f64, f64, f64) = (0.8, 0.05, 1.5);
 /// How far from the minimum a coordinate is thought to be when a step is weighed against its noise.
 const REACH: f64 = 0.6;
-/// Growth of the path count once a step is smaller than twice its noise.
+/// Growth of the path count from pair to pair while averaging.
 const GROWTH: f64 = 1.5;
+/// The descent ends when the mean of this many objectives is not clearly below that of as many before.
+const TREND: usize = 3;
+/// How many pairs are averaged: with the growth above the last three hold 70 % of all paths.
+const AVERAGED: usize = 3;
+/// The descent takes at most this share of the budget.
+const DESCENT_SHARE: f64 = 0.45;
 /// Camera paths of the first pair, per configuration.
-const FIRST_PATHS: u64 = 1500;
+const FIRST_PATHS: u64 = 12_000;
 /// No iteration takes more than this share of the search's budget.
 const LARGEST_SHARE: f64 = 0.25;
 /// Monte Carlo error that no longer matters, as a fraction of the measurements' part of the error.
@@ -152,6 +159,136 @@ impl Watch for Stretch<'_> {
     }
 }
 
+/// Where the search stands.
+struct State<'a> {
+    problem: &'a Problem<'a>,
+    /// Renders the next step is taken from.
+    pool: Pool,
+    /// Where the next pair is rendered.
+    u: Vec<f64>,
+    /// Where the next step begins.
+    base: Vec<f64>,
+    trust: f64,
+    descending: bool,
+    /// The best pair of the descent: its pool, place and paired objective.
+    best: Option<(Pool, Vec<f64>, PairedValue)>,
+    /// Paired objectives of the descent.
+    values: Vec<PairedValue>,
+}
+
+/// A step, and what is known where it leads.
+struct Step {
+    u: Vec<f64>,
+    model: LinearModel,
+    curvature: Matrix,
+    inverse_curvature: Matrix,
+    /// Weighted rms change of the means that the step makes.
+    moved: f64,
+    /// Monte Carlo and measurement part of the weighted rms error of the fitted means.
+    noise: f64,
+    measured: f64,
+}
+
+impl<'a> State<'a> {
+    fn new(problem: &'a Problem<'a>, start: &[f64]) -> Self {
+        Self {
+            problem,
+            pool: Pool::new(problem.objective),
+            u: start.to_vec(),
+            base: start.to_vec(),
+            trust: TRUST.0,
+            descending: true,
+            best: None,
+            values: Vec::new(),
+        }
+    }
+
+    /// Adds a pair rendered at `u`; false when it went back from there.
+    fn take_in(&mut self, pair: &RenderPair) -> bool {
+        let Problem {
+            objective, space, ..
+        } = self.problem;
+        let value = objective.paired(pair);
+        let parameters = space.to_parameters(&self.u);
+        let kept = if self.descending { 0 } else { AVERAGED - 1 };
+        self.pool.keep_latest(kept);
+        self.pool.push(space, &self.u, &parameters, objective, pair);
+        self.base.clone_from(&self.u);
+        if !self.descending {
+            return true;
+        }
+        self.values.push(value);
+        if let Some((pool, u, best)) = &self.best {
+            let noise = value.standard_error.hypot(best.standard_error);
+            if value.value - best.value > 3.0 * noise {
+                // Beyond doubt worse: a shorter step from the best pair.
+                self.pool.clone_from(pool);
+                self.base.clone_from(u);
+                self.trust = (0.5 * self.trust).max(TRUST.1);
+                return false;
+            }
+        }
+        if self
+            .best
+            .as_ref()
+            .is_none_or(|(_, _, best)| value.value < best.value)
+        {
+            self.best = Some((self.pool.clone(), self.u.clone(), value));
+        }
+        true
+    }
+
+    /// True while the paired objectives of the descent still fall beyond their noise.
+    fn still_falls(&self) -> bool {
+        let Some(first) = self.values.len().checked_sub(2 * TREND) else {
+            return true;
+        };
+        let mean =
+            |values: &[PairedValue]| values.iter().map(|v| v.value).sum::<f64>() / TREND as f64;
+        let (before, now) = self.values[first..].split_at(TREND);
+        let variance: f64 = self.values[first..]
+            .iter()
+            .map(|v| v.standard_error.powi(2))
+            .sum();
+        mean(before) - mean(now) > variance.sqrt() / TREND as f64
+    }
+
+    /// Minimizes the pool's model inside the bounds and the trust region; `None` when its curvature is not usable.
+    fn step(&mut self) -> Option<Step> {
+        let Problem {
+            objective, space, ..
+        } = self.problem;
+        let model = self.pool.model();
+        let curvature = model.marquardt_curvature();
+        let gradient = model.gradient_at(&self.base, &model.curvature);
+        let side = |bounds: &[f64], toward: f64| -> Vec<f64> {
+            let room = |(bound, base): (&f64, &f64)| {
+                toward * (toward * (bound - base)).clamp(0.0, self.trust)
+            };
+            bounds.iter().zip(&self.base).map(room).collect()
+        };
+        let (lower, upper) = (side(space.lower(), -1.0), side(space.upper(), 1.0));
+        let step = box_quadratic(&curvature, &gradient, &lower, &upper);
+        let next: Vec<f64> = self.base.iter().zip(&step).map(|(b, s)| b + s).collect();
+        let damped = model.damped_curvature(REACH);
+        let inverse_curvature = inverse(&damped)?;
+        if step.iter().any(|s| s.abs() > 0.99 * self.trust) {
+            self.trust = (1.3 * self.trust).min(TRUST.2);
+        }
+        let fitted =
+            |noise: &Matrix| model.fitted_rms(&inverse_curvature, noise, self.pool.weights());
+        Some(Step {
+            u: space.clamped(&next),
+            moved: (curvature.form(&step, &step) / objective.n_numbers() as f64).sqrt(),
+            noise: fitted(&model.monte_carlo),
+            measured: fitted(&model.measurement),
+            model,
+            curvature: damped,
+            inverse_curvature,
+        })
+    }
+}
+
 /// Runs the search from `start`.
 ///
 /// # Errors
@@ -169,93 +306,71 @@ pub(super) fn search(
         ..
     } = problem;
     let n_configurations = objective.intensities().len();
-    let mut pool = Pool::new(objective);
+    let mut state = State::new(problem, start);
     let mut history: Vec<Iteration> = Vec::new();
     let mut shares = vec![1.0; n_configurations];
     let mut paths = first_paths(&options.budget, n_configurations);
-    let mut u = start.to_vec();
-    let mut trust = TRUST.0;
-    let mut accepted: Option<(Vec<f64>, PairedValue)> = None;
     let mut last: Option<Found> = None;
     for index in 0.. {
         let stretch = stretch(&options.budget, spent, paths, watch);
-        let pair = match problem.render(&u, paths, &shares, index, &stretch) {
+        let pair = match problem.render(&state.u, paths, &shares, index, &stretch) {
             Ok(pair) => pair,
             Err(_) if watch.cancelled() && last.is_some() => break,
             Err(error) => return Err(error),
         };
         spent.add(paths, &pair);
-        let parameters = space.to_parameters(&u);
-        pool.push(space, &u, &parameters, objective, &pair);
+        let rendered_at = space.to_parameters(&state.u);
+        let accepted = state.take_in(&pair);
+        let Some(step) = state.step() else { break };
         let value = objective.paired(&pair);
-
-        // Judge the step that led here by the paired objective; go back when it is worse beyond the noise.
-        let worse = accepted.as_ref().is_some_and(|(_, before)| {
-            value.value - before.value > 3.0 * value.standard_error.hypot(before.standard_error)
-        });
-        if worse {
-            trust = (0.5 * trust).max(TRUST.1);
-        } else {
-            accepted = Some((u.clone(), value));
-        }
-        let base = accepted
-            .as_ref()
-            .map_or_else(|| u.clone(), |(u, _)| u.clone());
-
-        let (next, model, curvature) = minimize(&pool, space, &base, trust);
-        let Some(inverse_curvature) = inverse(&curvature) else {
-            break;
-        };
-        let step: Vec<f64> = next.iter().zip(&base).map(|(a, b)| a - b).collect();
-        let n = objective.n_numbers() as f64;
-        let moved = (curvature.form(&step, &step) / n).sqrt();
-        let noise = model.fitted_rms(&inverse_curvature, &model.monte_carlo, pool.weights());
-        let measured = model.fitted_rms(&inverse_curvature, &model.measurement, pool.weights());
-        if !worse && step.iter().any(|s| s.abs() > 0.99 * trust) {
-            trust = (1.3 * trust).min(TRUST.2);
-        }
         let (rms, rms_se) = rms_of(value, objective.n_numbers());
         history.push(Iteration {
             paths,
             total_paths: spent.paths,
             wall_s: spent.wall_s,
-            parameters: parameters.to_json(),
+            parameters: rendered_at.to_json(),
             paired_objective: value.value,
             paired_objective_se: value.standard_error,
             weighted_rms_percent: 100.0 * rms,
             weighted_rms_se_percent: 100.0 * rms_se,
-            monte_carlo_percent: 100.0 * noise,
-            accepted: !worse,
+            monte_carlo_percent: 100.0 * step.noise,
+            accepted,
         });
-        shares = pool.shares(&model, Some(&inverse_curvature));
-        let settled = index >= 4 && moved <= 2.0 * noise && !worse;
+        let leverage = (!state.descending).then_some(&step.inverse_curvature);
+        shares = state.pool.shares(&step.model, leverage);
+        let settled = !state.descending && step.moved <= 2.0 * step.noise;
         let enough = match options.budget.accuracy {
-            Some(accuracy) if noise <= accuracy => Some(Stop::Accuracy),
-            None if measured > 0.0 && noise <= BESIDE_MEASUREMENT * measured => {
+            Some(accuracy) if step.noise <= accuracy => Some(Stop::Accuracy),
+            None if step.measured > 0.0 && step.noise <= BESIDE_MEASUREMENT * step.measured => {
                 Some(Stop::BesideMeasurement)
             }
             _ => None,
         };
-        u.clone_from(&next);
+        state.u.clone_from(&step.u);
         last = Some(Found {
-            u: next,
-            check_shares: pool.shares(&model, None),
-            model,
-            curvature,
+            check_shares: state.pool.shares(&step.model, None),
+            u: step.u,
+            model: step.model,
+            curvature: step.curvature,
             history: Vec::new(),
             stop: Stop::Cancelled,
-            monte_carlo_rms: noise,
-            measurement_rms: measured,
+            monte_carlo_rms: step.noise,
+            measurement_rms: step.measured,
         });
         if watch.cancelled() {
             break;
+        }
+        if state.descending
+            && (!state.still_falls() || spent.left(&options.budget, DESCENT_SHARE) == Some(0))
+        {
+            state.descending = false;
         }
         let stop = if let (true, Some(stop)) = (settled, enough) {
             Some(stop)
         } else {
             next_paths(
                 &mut paths,
-                moved <= 2.0 * noise,
+                !state.descending,
                 options,
                 spent,
                 n_configurations,
@@ -274,40 +389,12 @@ pub(super) fn search(
     Ok(found)
 }
 
-/// Minimizes the pool's model within the trust region around `base`, weighting renders anew by their distance to the
-/// minimizer until both agree.
-fn minimize(
-    pool: &Pool,
-    space: &SearchSpace,
-    base: &[f64],
-    trust: f64,
-) -> (Vec<f64>, LinearModel, Matrix) {
-    let mut target = base.to_vec();
-    let mut model = pool.model(base, None);
-    for _ in 0..3 {
-        model = pool.model(&target, Some(&model.jacobian));
-        let curvature = model.damped_curvature(REACH);
-        let gradient = model.gradient_at(base, &model.curvature);
-        let lower: Vec<f64> = (0..space.len())
-            .map(|j| (space.lower()[j] - base[j]).max(-trust))
-            .collect();
-        let upper: Vec<f64> = (0..space.len())
-            .map(|j| (space.upper()[j] - base[j]).min(trust))
-            .collect();
-        let step = box_quadratic(&curvature, &gradient, &lower, &upper);
-        let moved: Vec<f64> = base.iter().zip(&step).map(|(b, s)| b + s).collect();
-        target = space.clamped(&moved);
-    }
-    let curvature = model.damped_curvature(REACH);
-    (target, model, curvature)
-}
-
 fn first_paths(budget: &Budget, n_configurations: usize) -> u64 {
     let usual = FIRST_PATHS * n_configurations as u64;
     let least = 64 * n_configurations as u64;
     budget
         .paths
-        .map_or(usual, |n| usual.min((0.02 * n as f64) as u64))
+        .map_or(usual, |n| usual.min((0.05 * n as f64) as u64))
         .max(least)
 }
 

@@ -76,7 +76,7 @@ fn newton_move(problem: &Problem<'_>, found: &Found, pair: &RenderPair) -> (f64,
         objective,
         pair,
     );
-    let fresh = pool.model(&found.u, None);
+    let fresh = pool.model();
     let offset =
         |side: &[f64]| -> Vec<f64> { side.iter().zip(&found.u).map(|(s, u)| s - u).collect() };
     let step = box_quadratic(
