@@ -3,6 +3,7 @@
 //! In process, against the byte-level controller model on a virtual clock; each test is named by the trap it springs.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
+use goniofit::base::{Unwatched, Watch};
 use goniofit::rig::{
     Clock, Fault, FaultKind, Flavor, Grbl, GrblModel, ModelOptions, ModelTransport, SharedModel,
     Target, Transport, VirtualClock,
@@ -38,13 +39,13 @@ impl Bench {
         }
     }
 
-    fn connect(&self) -> goniofit::base::Result<Grbl> {
+    fn connect(&self) -> goniofit::base::Result<Grbl<'static>> {
         let cable = ModelTransport::new(self.model.clone(), self.clock.clone());
         let tapped = Tapped(cable, self.sent.clone());
-        Grbl::connect("main", Box::new(tapped), self.clock.clone())
+        Grbl::connect("main", Box::new(tapped), self.clock.clone(), &Unwatched)
     }
 
-    fn homed(options: ModelOptions) -> (Self, Grbl) {
+    fn homed(options: ModelOptions) -> (Self, Grbl<'static>) {
         let bench = Self::new(options);
         let mut grbl = bench.connect().unwrap();
         grbl.home().unwrap();
@@ -172,7 +173,8 @@ fn nothing_that_is_no_controller_is_connected_to() {
         (b"hello\r\n", "talks without end"),
     ] {
         let clock = Arc::new(VirtualClock::new());
-        let error = Grbl::connect("main", Box::new(Mute(clock.clone(), noise)), clock.clone())
+        let mute = Box::new(Mute(clock.clone(), noise));
+        let error = Grbl::connect("main", mute, clock.clone(), &Unwatched)
             .map(|_| ())
             .unwrap_err()
             .report();

@@ -13,6 +13,7 @@ mod lines;
 mod motion;
 mod report;
 mod settings;
+mod stopping;
 
 use motion::{Block, Motion};
 use settings::Settings;
@@ -177,6 +178,8 @@ pub struct GrblModel {
     modal: Modal,
     hold: Option<Hold>,
     homing_until: Option<f64>,
+    /// Grbl was asked for its state while homing, and answers afterwards.
+    report_due: bool,
     homed: bool,
     alarm: Option<u8>,
     /// Deaf until 0x18.
@@ -215,6 +218,7 @@ impl GrblModel {
             modal: POWER_UP,
             hold: None,
             homing_until: None,
+            report_due: false,
             homed: false,
             alarm: None,
             critical: false,
@@ -283,7 +287,7 @@ impl GrblModel {
 
     /// True while an axis moves.
     pub fn is_moving(&self) -> bool {
-        self.motion.is_some()
+        self.motion.is_some() || self.homing_until.is_some()
     }
 
     /// Axis positions in machine units, at the time last heard of.
@@ -348,6 +352,9 @@ impl GrblModel {
         self.planned.clone_from(&self.position);
         self.homed = true;
         self.alarm = None;
+        if std::mem::take(&mut self.report_due) {
+            self.status_report();
+        }
         self.ok();
     }
 
@@ -416,146 +423,5 @@ impl GrblModel {
             }
             _ => {}
         }
-    }
-
-    // -- faults -----------------------------------------------------------------------------------------------------
-
-    /// Counts a motion line and arms its fault; returns the fault that strikes at once.
-    fn count_move(&mut self, target: &mut [f64]) -> Option<FaultKind> {
-        self.moves_seen += 1;
-        let kind = self
-            .options
-            .faults
-            .iter()
-            .find(|f| f.on_move == self.moves_seen)?
-            .kind;
-        match kind {
-            FaultKind::FallShort(units) => {
-                target[0] -= units;
-                None
-            }
-            FaultKind::Garble | FaultKind::NeverOk => Some(kind),
-            _ => {
-                // "Halfway" is known once the line runs; see `arm`.
-                self.fault_at = Some((f64::INFINITY, kind));
-                None
-            }
-        }
-    }
-
-    /// Sets the time of an armed fault to the middle of the motion that was just planned.
-    fn arm(&mut self) {
-        let Some((f64::INFINITY, kind)) = self.fault_at else {
-            return;
-        };
-        let end = self.motion.as_ref().map_or(self.now, Motion::end);
-        self.fault_at = Some(((self.now + end) / 2.0, kind));
-    }
-
-    fn suffer(&mut self, kind: FaultKind) {
-        match kind {
-            FaultKind::Reset => {
-                self.freeze();
-                self.modal = POWER_UP;
-                self.forget_everything_queued();
-                self.position.fill(0.0);
-                self.planned.fill(0.0);
-                self.homed = false;
-                self.alarm = None;
-                self.booting_until = Some(self.now + self.options.boot);
-                self.power_up_text();
-            }
-            FaultKind::Alarm(number) => self.raise_alarm(number),
-            FaultKind::Vanish => self.gone = true,
-            FaultKind::Hold => self.begin_hold(Hold::Feed),
-            FaultKind::Garble | FaultKind::NeverOk | FaultKind::FallShort(_) => {}
-        }
-    }
-
-    // -- stopping ---------------------------------------------------------------------------------------------------
-
-    /// Stops dead where it is.
-    fn freeze(&mut self) {
-        let position = self.position();
-        self.position = self.quantized(position);
-        self.motion = None;
-        self.planned.clone_from(&self.position);
-    }
-
-    fn forget_everything_queued(&mut self) {
-        self.queue.clear();
-        self.lines.clear();
-        self.partial.clear();
-        self.overlong = false;
-        self.waiting = None;
-        self.hold = None;
-        self.homing_until = None;
-        self.sticky_error = None;
-        self.feed_override = 100;
-        self.reports_since_offsets = u32::MAX;
-        self.reports_since_overrides = u32::MAX;
-    }
-
-    /// An alarm outside a reset: everything stops; 1 and 2 leave Grbl deaf.
-    fn raise_alarm(&mut self, number: u8) {
-        self.freeze();
-        self.alarm = Some(number);
-        self.modal.spindle = 5;
-        self.queue.clear();
-        self.homed = false;
-        self.say(&format!("ALARM:{number}"));
-        if matches!(number, 1 | 2) {
-            self.say_later(0.5, "[MSG:Reset to continue]");
-            self.critical = self.options.flavor == Flavor::Grbl;
-        }
-    }
-
-    fn begin_hold(&mut self, hold: Hold) {
-        if self.alarm.is_some() || self.homing_until.is_some() {
-            return;
-        }
-        if let Some(motion) = &mut self.motion
-            && !motion.braking
-        {
-            motion.brake(self.now);
-        }
-        self.hold = Some(hold);
-    }
-
-    fn resume(&mut self) {
-        if !matches!(self.hold, Some(Hold::Feed | Hold::Door)) {
-            return;
-        }
-        self.hold = None;
-        if let Some(motion) = &mut self.motion {
-            motion.resume(self.now);
-        }
-        self.start_next_block();
-    }
-
-    /// 0x18.
-    fn soft_reset(&mut self) {
-        let flavor = self.options.flavor;
-        // The line that was being worked on is acknowledged although it was aborted.
-        let held_up = self.hold.is_some() && !self.lines.is_empty();
-        let aborted =
-            self.waiting.is_some() || self.homing_until.is_some() || self.critical || held_up;
-        let mut delay = 0.04;
-        if self.motion.is_some() || self.homing_until.is_some() {
-            self.freeze();
-            self.alarm = Some(3);
-            self.homed = false;
-            self.say("ALARM:3");
-            delay = if flavor == Flavor::Grbl { 0.55 } else { 0.1 };
-        }
-        self.forget_everything_queued();
-        self.planned.clone_from(&self.position);
-        self.modal = POWER_UP;
-        self.critical = false;
-        if aborted {
-            self.say("ok");
-        }
-        self.booting_until = Some(self.now + delay);
-        self.banner(delay);
     }
 }
