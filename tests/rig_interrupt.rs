@@ -7,8 +7,8 @@ use goniofit::base::{Result, Watch};
 use goniofit::rig::capture::{self, CaptureOptions, Summary};
 use goniofit::rig::simulated::model_options;
 use goniofit::rig::{
-    Camera, CapturedFrame, Clock, Connection, GrblModel, ModelTransport, RigDescription,
-    SharedModel, Shot, Transport, VirtualClock,
+    Camera, CapturedFrame, Clock, Connection, Fault, FaultKind, GrblModel, ModelTransport,
+    RigDescription, SharedModel, Shot, Transport, VirtualClock,
 };
 use goniofit::session::{CameraFacts, Event, Plan, read_journal};
 use std::collections::BTreeMap;
@@ -113,13 +113,28 @@ impl Ran {
 
 /// A capture of two configurations that is asked to end at `cancelled` and to stop at once at `urgent`.
 fn run(rig: &RigDescription, cancelled: f64, urgent: f64, exposure: f64) -> Ran {
+    run_with(rig, cancelled, urgent, exposure, &[])
+}
+
+/// As [`run`], with faults of the first board.
+fn run_with(
+    rig: &RigDescription,
+    cancelled: f64,
+    urgent: f64,
+    exposure: f64,
+    faults: &[Fault],
+) -> Ran {
     let clock = Arc::new(VirtualClock::new());
     let wire = Wire::default();
     let models: BTreeMap<String, SharedModel> = rig
         .boards
         .iter()
         .map(|b| {
-            let model = GrblModel::new(model_options(rig, b));
+            let mut options = model_options(rig, b);
+            if b.name == rig.boards[0].name {
+                options.faults = faults.to_vec();
+            }
+            let model = GrblModel::new(options);
             (b.name.clone(), Arc::new(Mutex::new(model)))
         })
         .collect();
@@ -195,12 +210,12 @@ fn rigs() -> Vec<RigDescription> {
         .collect()
 }
 
-/// Times every 0.83 s from a moment after the start of homing to the end.
+/// Times every 1.31 s from a moment after the start of homing to the end.
 fn moments(whole: &Ran) -> Vec<f64> {
     let start = whole.first("$H") + 0.01;
-    let n = ((whole.ended - start) / 0.83) as usize;
+    let n = ((whole.ended - start) / 1.31) as usize;
     assert!(n > 50, "{n}");
-    (0..n).map(|i| start + 0.83 * i as f64).collect()
+    (0..n).map(|i| start + 1.31 * i as f64).collect()
 }
 
 #[test]
@@ -313,6 +328,30 @@ fn a_request_to_end_is_obeyed_in_every_phase_without_breaking_a_motion_off() {
         }
         assert!(warming > 10 && settling > 3, "{warming} {settling}");
     }
+}
+
+#[test]
+fn a_fault_of_one_board_brakes_the_other_before_either_is_waited_for() {
+    let rig = &rigs()[1];
+    let fault = Fault {
+        on_move: 2,
+        kind: FaultKind::Hold,
+    };
+    let ran = run_with(rig, f64::INFINITY, f64::INFINITY, 0.0, &[fault]);
+    let error = ran.result.as_ref().unwrap_err().report();
+    assert!(error.contains("state Hold"), "{error}");
+    let holds: Vec<(f64, &str)> = ran
+        .wire
+        .iter()
+        .filter(|(_, _, text)| text == "!")
+        .map(|(t, board, _)| (*t, board.as_str()))
+        .collect();
+    assert_eq!(holds.len(), 2, "{holds:?}");
+    assert!(
+        holds[0].1 != holds[1].1 && holds[1].0 - holds[0].0 < 0.01,
+        "{holds:?}"
+    );
+    ran.assert_dark_and_still("fault");
 }
 
 #[test]

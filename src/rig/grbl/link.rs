@@ -16,8 +16,10 @@ const POLL_SILENCE: f64 = 4.0;
 const MAX_LINE: usize = 79;
 /// Seconds after which a wait looks at its [`Watch`] again.
 const LOOK: f64 = 0.05;
-/// Seconds beyond a deadline for which lines that are already there are still handed out.
-const FLOOD: f64 = 0.5;
+/// Lines in a row that are still handed out after their deadline; a buffer holds fewer.
+const LATE_LINES: u32 = 512;
+/// Reads in a row after the deadline that may bring bytes and no line end.
+const LATE_READS: u32 = 100;
 
 /// Which requests of the operator end a wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,6 +46,8 @@ pub(super) struct Link<'a> {
     work_offset: Option<Vec<f64>>,
     /// The last overrides reported since the last start, percent: most reports leave them out.
     overrides: Option<[f64; 3]>,
+    /// Lines handed out in a row after their deadline.
+    late_lines: u32,
 }
 
 impl<'a> Link<'a> {
@@ -62,6 +66,7 @@ impl<'a> Link<'a> {
             halted: false,
             work_offset: None,
             overrides: None,
+            late_lines: 0,
         }
     }
 
@@ -92,9 +97,14 @@ impl<'a> Link<'a> {
     /// The next line, classified; none when `deadline` passes first. Lines that had arrived by then are handed out after
     /// it, but not without end.
     pub(super) fn next_reply(&mut self, deadline: f64) -> Result<Option<Reply>, Fault> {
+        let mut late_reads = 0;
         loop {
             self.interrupted()?;
-            if self.clock.now() > deadline + FLOOD {
+            let late = self.clock.now() > deadline;
+            if !late {
+                self.late_lines = 0;
+            } else if self.late_lines >= LATE_LINES {
+                self.late_lines = 0;
                 return Ok(None);
             }
             if let Some(end) = self.input.iter().position(|b| *b == b'\n') {
@@ -102,11 +112,15 @@ impl<'a> Link<'a> {
                 while matches!(line.last(), Some(b'\n' | b'\r')) {
                     line.pop();
                 }
+                self.late_lines += u32::from(late);
                 return Ok(Some(self.noted(Reply::of(&line))));
             }
-            if self.input.len() > 4096 {
-                let bytes = std::mem::take(&mut self.input);
-                return Ok(Some(Reply::Garbled(bytes[..64].to_vec())));
+            late_reads += u32::from(late);
+            if self.input.len() > 4096 || (late_reads > LATE_READS && !self.input.is_empty()) {
+                self.late_lines = LATE_LINES;
+                let mut bytes = std::mem::take(&mut self.input);
+                bytes.truncate(64);
+                return Ok(Some(Reply::Garbled(bytes)));
             }
             let wait = (deadline - self.clock.now()).clamp(0.0, LOOK);
             let mut buffer = [0; 512];
