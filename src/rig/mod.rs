@@ -7,6 +7,7 @@
 //!                                                           serial port | model in process | replay of a wire log
 //! ```
 
+mod board_check;
 pub mod capture;
 mod description;
 mod grbl;
@@ -15,6 +16,7 @@ mod machine;
 mod model;
 mod replay;
 mod replay_camera;
+mod rig_file;
 mod serial;
 mod shots;
 pub mod simulated;
