@@ -73,8 +73,15 @@ fn recorded(out: &Path, rig: &Path) {
 
 #[test]
 fn a_dry_run_prints_every_axis_target_and_opens_no_port() {
-    // The rig file's port does not exist here: opening it would fail.
-    let (code, out, err) = answer(goniofit().arg("capture").args(RIG).arg("--dry-run"));
+    // A port that does not exist: opening it would fail, as it does without --dry-run.
+    let port = ["--port", "/dev/ttyNOSUCH"];
+    let (code, out, err) = answer(
+        goniofit()
+            .arg("capture")
+            .args(RIG)
+            .args(port)
+            .arg("--dry-run"),
+    );
     assert_eq!(code, 0, "{err}");
     assert!(out.contains("36 frames"), "{out}");
     let line = out

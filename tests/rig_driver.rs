@@ -3,6 +3,7 @@
 //! In process, against the byte-level controller model on a virtual clock; each test is named by the trap it springs.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
+use goniofit::base::Unwatched;
 use goniofit::rig::{
     Clock, Fault, FaultKind, Flavor, Grbl, GrblModel, ModelOptions, ModelTransport, SharedModel,
     Target, Transport, VirtualClock,
@@ -38,13 +39,13 @@ impl Bench {
         }
     }
 
-    fn connect(&self) -> goniofit::base::Result<Grbl> {
+    fn connect(&self) -> goniofit::base::Result<Grbl<'static>> {
         let cable = ModelTransport::new(self.model.clone(), self.clock.clone());
         let tapped = Tapped(cable, self.sent.clone());
-        Grbl::connect("main", Box::new(tapped), self.clock.clone())
+        Grbl::connect("main", Box::new(tapped), self.clock.clone(), &Unwatched)
     }
 
-    fn homed(options: ModelOptions) -> (Self, Grbl) {
+    fn homed(options: ModelOptions) -> (Self, Grbl<'static>) {
         let bench = Self::new(options);
         let mut grbl = bench.connect().unwrap();
         grbl.home().unwrap();
@@ -172,7 +173,8 @@ fn nothing_that_is_no_controller_is_connected_to() {
         (b"hello\r\n", "talks without end"),
     ] {
         let clock = Arc::new(VirtualClock::new());
-        let error = Grbl::connect("main", Box::new(Mute(clock.clone(), noise)), clock.clone())
+        let mute = Box::new(Mute(clock.clone(), noise));
+        let error = Grbl::connect("main", mute, clock.clone(), &Unwatched)
             .map(|_| ())
             .unwrap_err()
             .report();
@@ -368,6 +370,77 @@ fn noise_that_changes_an_override_is_noticed_before_a_shot() {
         error.contains("overrides are [110.0, 100.0, 100.0]"),
         "{error}"
     );
+}
+
+#[test]
+fn an_override_reported_only_during_the_move_is_not_forgotten() {
+    // Most reports leave the overrides out: the one report that had them came while the barrier was waited for.
+    for flavor in [Flavor::Grbl, Flavor::GrblHal] {
+        let (bench, mut grbl) = Bench::homed(ModelOptions::rig(flavor));
+        grbl.start_move(&x(-10.0), 600.0).unwrap();
+        bench
+            .model
+            .lock()
+            .unwrap()
+            .receive(&[0x91], bench.clock.now());
+        let error = grbl.finish_move(&x(-10.0), 60.0).unwrap_err().report();
+        assert!(error.contains("overrides are [110.0"), "{error}");
+        // The reset of the stop puts them back.
+        grbl.make_safe().unwrap();
+        go(&mut grbl, -3.0).unwrap();
+    }
+}
+
+#[test]
+fn command_bytes_out_of_the_noise_are_noticed_before_a_shot() {
+    for (byte, reason) in [
+        (b'!', "state Hold:0"),
+        (0x84, "state Door:0"),
+        (0x18, "restarted by itself"),
+    ] {
+        let (bench, mut grbl) = Bench::homed(ModelOptions::rig(Flavor::Grbl));
+        go(&mut grbl, -5.0).unwrap();
+        bench
+            .model
+            .lock()
+            .unwrap()
+            .receive(&[byte], bench.clock.now());
+        bench.clock.sleep(1.0);
+        let error = grbl.verify_at(&x(-5.0)).unwrap_err().report();
+        assert!(error.contains(reason), "{byte:#x}: {error}");
+    }
+}
+
+#[test]
+fn a_board_that_talks_without_end_is_no_hang() {
+    // Well-formed lines that are no answer to anything, with no pause between them.
+    struct Flood(Arc<VirtualClock>, ModelTransport);
+    impl Transport for Flood {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+            self.1.write(bytes)
+        }
+        fn read(&mut self, buffer: &mut [u8], timeout: f64) -> io::Result<usize> {
+            if self.0.now() < 7.0 {
+                return self.1.read(buffer, timeout);
+            }
+            let line = b"[MSG:on and on]\r\n";
+            self.0.sleep(line.len() as f64 * 10.0 / 115_200.0);
+            buffer[..line.len()].copy_from_slice(line);
+            Ok(line.len())
+        }
+    }
+    let bench = Bench::new(ModelOptions::rig(Flavor::Grbl));
+    let cable = ModelTransport::new(bench.model.clone(), bench.clock.clone());
+    let flood = Flood(bench.clock.clone(), cable);
+    let clock = bench.clock.clone();
+    let mut grbl = Grbl::connect("main", Box::new(flood), clock.clone(), &Unwatched).unwrap();
+    grbl.home().unwrap();
+    clock.advance_to(7.0);
+    assert!(grbl.status().is_err());
+    assert!(grbl.command("$G").is_err());
+    let _ = grbl.make_safe();
+    assert!(grbl.controlled_stop().is_err());
+    assert!(clock.now() < 60.0, "{}", clock.now());
 }
 
 #[test]

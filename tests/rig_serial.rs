@@ -22,9 +22,14 @@ fn simulator(faults: Vec<Fault>) -> PtySimulator {
     PtySimulator::spawn(GrblModel::new(options), SPEED, None).unwrap()
 }
 
-fn connect(simulator: &PtySimulator) -> Result<Grbl> {
+fn connect(simulator: &PtySimulator) -> Result<Grbl<'static>> {
     let port = SerialTransport::open(simulator.path(), 115_200, Some(true))?;
-    Grbl::connect("main", Box::new(port), Arc::new(SystemClock::new()))
+    Grbl::connect(
+        "main",
+        Box::new(port),
+        Arc::new(SystemClock::new()),
+        &Unwatched,
+    )
 }
 
 fn go(grbl: &mut Grbl, units: f64) -> Result<Vec<f64>> {

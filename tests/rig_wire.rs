@@ -3,6 +3,7 @@
 //! `tests/data/wire` holds excerpts of dialogues recorded with two controllers; every replay is strict and used up.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
+use goniofit::base::Unwatched;
 use goniofit::rig::{
     Flavor, Grbl, GrblModel, ModelOptions, Replay, Way, WireEntry, parse_wire_log, show_bytes,
 };
@@ -14,9 +15,15 @@ fn recorded(name: &str) -> Vec<WireEntry> {
     parse_wire_log(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
-fn connected(name: &str) -> (Replay, Grbl) {
+fn connected(name: &str) -> (Replay, Grbl<'static>) {
     let replay = Replay::new(recorded(name));
-    let grbl = Grbl::connect("main", Box::new(replay.transport("main")), replay.clock()).unwrap();
+    let grbl = Grbl::connect(
+        "main",
+        Box::new(replay.transport("main")),
+        replay.clock(),
+        &Unwatched,
+    )
+    .unwrap();
     (replay, grbl)
 }
 

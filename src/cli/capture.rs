@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::output::data;
 use super::terminal::Terminal;
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, Watch};
 use crate::rig::capture::{self, CaptureOptions, PlannedShot, Summary};
 use crate::rig::simulated::capture_from_replay;
 use crate::rig::{
@@ -207,11 +207,32 @@ fn ask(terminal: &Terminal, question: &str, yes: bool) -> Result<()> {
             .with_hint("run in a terminal, or pass --yes when everything is in place"));
     }
     terminal.say(format!("{question} [Enter = done, n = stop]"));
+    wait_for_stdin(terminal)?;
     let mut answer = String::new();
     let read = std::io::stdin().lock().read_line(&mut answer);
     match answer.trim().to_lowercase().as_str() {
         "" | "y" | "yes" if matches!(read, Ok(n) if n > 0) => Ok(()),
         _ => Err(Error::new(format!("the operator declined: {question}"))),
+    }
+}
+
+/// Waits until there is a line to read, or Ctrl-C was pressed.
+fn wait_for_stdin(terminal: &Terminal) -> Result<()> {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    let stdin = std::io::stdin();
+    let look = Timespec {
+        tv_sec: 0,
+        tv_nsec: 100_000_000,
+    };
+    loop {
+        if terminal.cancelled() {
+            return Err(Error::new("stopped by the operator"));
+        }
+        match poll(&mut [PollFd::new(&stdin, PollFlags::IN)], Some(&look)) {
+            Ok(0) | Err(rustix::io::Errno::INTR) => {}
+            Ok(_) => return Ok(()),
+            Err(e) => return Err(Error::new("the terminal cannot be read").with_source(e)),
+        }
     }
 }
 

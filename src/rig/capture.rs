@@ -4,12 +4,20 @@
 //! data. Every frame is on disk and journaled before the next one is asked for. Whatever fails: motion stops, the lamp
 //! goes off, the journal says why, and what is on disk stays.
 //!
+//! [`Watch::cancelled`] ends it before the next motion or shot, or within 0.1 s while something settles or warms up; a
+//! motion under way ends where it was going. [`Watch::urgent`] stops motion within 0.1 s, whatever is going on, but for an
+//! exposure: the stop comes when the camera returns, and that frame is not kept.
+//!
 //! Does not choose exposures, judge frames, follow lamp drift, or continue an interrupted session.
+
+pub use super::shots::{CaptureOptions, PlannedShot, planned_shots};
 
 use super::description::RigDescription;
 use super::kinematics::AxisAngles;
-use super::machine::{Connection, Opener, Prompt, Rig};
+use super::machine::{Connection, Halt, Opener, Prompt, Rig, Step};
+use super::shots::white_id;
 use super::transport::Clock;
+use super::utc::utc_now;
 use super::wire_log::{RecordingTransport, WireLog};
 use super::{Camera, Shot};
 use crate::base::{Context, Error, Result, Watch};
@@ -18,40 +26,6 @@ use crate::session::{
 };
 use std::path::Path;
 use std::sync::Arc;
-
-/// What the rig file does not say about a capture.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CaptureOptions {
-    /// Exposure bracket, milliseconds, ascending.
-    pub exposures_ms: Vec<f64>,
-    /// Frames per configuration and exposure.
-    pub repeats: u32,
-    /// Dark frames per exposure.
-    pub dark_repeats: u32,
-    /// White frames per exposure; 0 = none.
-    pub white_repeats: u32,
-    /// Operator's note.
-    pub note: String,
-    /// True when no camera sees any cloth.
-    pub synthetic: bool,
-    /// UTC start, RFC 3339; the machine's clock when absent.
-    pub started_utc: Option<String>,
-}
-
-impl CaptureOptions {
-    /// The exposures and repeats of the rig file; as many white frames as sample frames.
-    pub fn of(rig: &RigDescription) -> Self {
-        Self {
-            exposures_ms: rig.camera.exposures_ms.clone(),
-            repeats: rig.camera.repeats,
-            dark_repeats: rig.camera.dark_repeats,
-            white_repeats: rig.camera.repeats,
-            note: String::new(),
-            synthetic: false,
-            started_utc: None,
-        }
-    }
-}
 
 /// How a capture ended.
 #[derive(Debug, Clone)]
@@ -66,88 +40,6 @@ pub struct Summary {
     pub elapsed: f64,
     /// False when it was asked to stop early.
     pub finished: bool,
-}
-
-/// One shot with the axis angles it is taken at.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PlannedShot {
-    /// What to ask the camera for.
-    pub shot: Shot,
-    /// Where the axes stand.
-    pub angles: AxisAngles,
-}
-
-/// The whole capture as data: whites at the reference geometry, the configurations in plan order, then darks.
-///
-/// # Errors
-/// A pose is outside the limits.
-pub fn planned_shots(
-    rig: &RigDescription,
-    plan: &Plan,
-    options: &CaptureOptions,
-) -> Result<Vec<PlannedShot>> {
-    let mut shots = Vec::new();
-    let mut add = |kind, config, pose, angles, exposure_ms, repeats| {
-        for repeat in 0..repeats {
-            shots.push(PlannedShot {
-                shot: Shot {
-                    kind,
-                    config,
-                    pose,
-                    exposure_ms,
-                    repeat,
-                },
-                angles,
-            });
-        }
-    };
-    let reference = rig.white.configuration(white_id(plan));
-    let reference_angles = rig
-        .angles(&reference)
-        .context(|| "white reference geometry")?;
-    for &exposure in &options.exposures_ms {
-        add(
-            FrameKind::White,
-            None,
-            reference,
-            reference_angles,
-            exposure,
-            options.white_repeats,
-        );
-    }
-    let angles = rig.plan_angles(plan)?;
-    for (c, angles) in plan.configurations.iter().zip(&angles) {
-        for &exposure in &options.exposures_ms {
-            add(
-                FrameKind::Sample,
-                Some(c.id),
-                *c,
-                *angles,
-                exposure,
-                options.repeats,
-            );
-        }
-    }
-    if let (Some(c), Some(angles)) = (plan.configurations.last(), angles.last()) {
-        for &exposure in &options.exposures_ms {
-            add(
-                FrameKind::Dark,
-                None,
-                *c,
-                *angles,
-                exposure,
-                options.dark_repeats,
-            );
-        }
-    }
-    Ok(shots)
-}
-
-/// An id for the white geometry that the plan does not use.
-fn white_id(plan: &Plan) -> u32 {
-    (0..)
-        .find(|id| plan.configuration(*id).is_none())
-        .unwrap_or(0)
 }
 
 /// Runs a capture into the new session folder `out`; the wire log goes to `wire.jsonl` in it.
@@ -184,7 +76,8 @@ pub fn run(
         clock: clock.clone(),
         wait_scale,
     };
-    let mut rig = Rig::connect(description, &mut recorded)?;
+    let mut rig = Rig::connect(description, &mut recorded, watch)
+        .context(|| "the capture did not begin, nothing was moved")?;
     drop(recorded);
     let manifest = manifest(description, plan, camera, options);
     let (session, journal) = SessionFolder::create(out, &manifest, plan, &description.text)?;
@@ -194,12 +87,18 @@ pub fn run(
         camera,
         session: &session,
         journal,
+        log: &log,
         clock: clock.as_ref(),
         start,
         frames: 0,
         watch,
     };
-    match capture.work(&shots, prompt) {
+    let worked = match capture.work(&shots, prompt) {
+        Err(Halt::Cancelled) => capture.stop_early().map(|()| false),
+        Err(Halt::Failed(error)) => Err(error),
+        Ok(()) => Ok(true),
+    };
+    match worked {
         Ok(finished) => Ok(Summary {
             frames: capture.frames,
             frames_planned: shots.len(),
@@ -252,24 +151,24 @@ fn manifest(
     }
 }
 
-struct Loop<'a> {
-    rig: &'a mut Rig,
+struct Loop<'a, 'w> {
+    rig: &'a mut Rig<'w>,
     camera: &'a mut dyn Camera,
     session: &'a SessionFolder,
     journal: Journal,
+    log: &'a WireLog,
     clock: &'a dyn Clock,
     start: f64,
     frames: usize,
     watch: &'a dyn Watch,
 }
 
-impl Loop<'_> {
+impl Loop<'_, '_> {
     fn elapsed(&self) -> f64 {
         self.clock.now() - self.start
     }
 
-    /// True when all shots were taken, false when asked to stop.
-    fn work(&mut self, shots: &[PlannedShot], prompt: &mut Prompt) -> Result<bool> {
+    fn work(&mut self, shots: &[PlannedShot], prompt: &mut Prompt) -> Step {
         self.rig.home(prompt)?;
         let firmware = self.rig.firmware();
         self.journal
@@ -278,14 +177,12 @@ impl Loop<'_> {
         let mut at: Option<AxisAngles> = None;
         for (i, planned) in shots.iter().enumerate() {
             self.watch.progress("capture", i as u64, shots.len() as u64);
-            if self.watch.cancelled() {
-                return self.stop_early();
-            }
+            self.rig.obey()?;
             let kind = planned.shot.kind;
             if in_place != Some(kind) {
                 match kind {
-                    FrameKind::White => prompt("put the white standard in place")?,
-                    FrameKind::Sample => prompt("put the sample in place")?,
+                    FrameKind::White => self.rig.ask(prompt, "put the white standard in place")?,
+                    FrameKind::Sample => self.rig.ask(prompt, "put the sample in place")?,
                     FrameKind::Dark => {}
                 }
                 in_place = Some(kind);
@@ -303,9 +200,13 @@ impl Loop<'_> {
         self.watch
             .progress("capture", shots.len() as u64, shots.len() as u64);
         self.rig.lamp_off()?;
-        self.rig.park()?;
+        match self.rig.park() {
+            // All shots are on disk: where the axes stay does not matter.
+            Ok(()) | Err(Halt::Cancelled) => {}
+            Err(failed) => return Err(failed),
+        }
         self.journal.append(self.elapsed(), Event::Finished)?;
-        Ok(true)
+        Ok(())
     }
 
     fn take(&mut self, shot: &Shot) -> Result<()> {
@@ -344,15 +245,14 @@ impl Loop<'_> {
         self.session
             .add_frame(&mut self.journal, elapsed, record, &frame.bytes)?;
         self.frames += 1;
-        Ok(())
+        self.log.check()
     }
 
-    fn stop_early(&mut self) -> Result<bool> {
+    fn stop_early(&mut self) -> Result<()> {
         self.rig.lamp_off()?;
         let reason = "stopped by the operator".to_owned();
         self.journal
-            .append(self.elapsed(), Event::Stopped { reason })?;
-        Ok(false)
+            .append(self.elapsed(), Event::Stopped { reason })
     }
 
     /// Makes the rig safe and tells what happened and what is kept.
@@ -392,43 +292,4 @@ fn describe(shot: &Shot) -> String {
         (FrameKind::Sample, None) => "sample".to_owned(),
     };
     format!("{what}, {} ms, repeat {}", shot.exposure_ms, shot.repeat)
-}
-
-/// UTC now, RFC 3339 with seconds.
-fn utc_now() -> String {
-    let seconds = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .map_or(0, |d| d.as_secs());
-    utc_text(seconds)
-}
-
-/// Civil date of a Unix time (Hinnant, "chrono-compatible low-level date algorithms").
-fn utc_text(unix_seconds: u64) -> String {
-    let (days, second) = (unix_seconds / 86_400, unix_seconds % 86_400);
-    let z = days + 719_468;
-    let (era, doe) = (z / 146_097, z % 146_097);
-    let yoe = (doe - doe / 1460 + doe / 36_524 - doe / 146_096) / 365;
-    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
-    let mp = (5 * doy + 2) / 153;
-    let day = doy - (153 * mp + 2) / 5 + 1;
-    let month = if mp < 10 { mp + 3 } else { mp - 9 };
-    let year = yoe + era * 400 + u64::from(month <= 2);
-    format!(
-        "{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z",
-        second / 3600,
-        second / 60 % 60,
-        second % 60
-    )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn utc_times_are_civil_dates() {
-        assert_eq!(utc_text(0), "1970-01-01T00:00:00Z");
-        assert_eq!(utc_text(951_827_696), "2000-02-29T12:34:56Z");
-        assert_eq!(utc_text(1_795_305_600), "2026-11-22T00:00:00Z");
-    }
 }

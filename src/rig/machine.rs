@@ -1,10 +1,11 @@
 //! The connected rig: all boards together, in angles.
 
+use super::board_check::check_settings;
 use super::description::{Board, Homing, RigDescription};
-use super::grbl::{Grbl, Target};
+use super::grbl::{Grbl, Target, stopped_at_once};
 use super::kinematics::AxisAngles;
 use super::transport::{Clock, Transport};
-use crate::base::{Context, Error, Result};
+use crate::base::{Error, Result, Watch};
 use std::sync::Arc;
 
 /// Opens the byte stream to a board.
@@ -23,32 +24,63 @@ pub struct Connection<'a> {
 /// Asks the operator something; an error when the answer is no or nobody is there.
 pub type Prompt<'a> = dyn FnMut(&str) -> Result<()> + 'a;
 
-/// A connected rig.
-pub struct Rig {
+/// Why a rig did not do what it was asked for.
+#[derive(Debug)]
+pub enum Halt {
+    /// [`Watch::cancelled`], and the rig is at rest: before a motion, or while something settled or warmed up.
+    Cancelled,
+    /// A fault, or [`Watch::urgent`]; call [`Rig::make_safe`].
+    Failed(Error),
+}
+
+impl From<Error> for Halt {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+/// What becomes of a request to a rig.
+pub type Step<T = ()> = Result<T, Halt>;
+
+/// Seconds after which a wait looks at its [`Watch`] again.
+const LOOK: f64 = 0.05;
+
+/// The longest a move may take, seconds, judged by the board's own settings.
+const LONGEST_MOVE: f64 = 1800.0;
+
+/// A connected rig. Motion goes on when its [`Watch`] is cancelled, and stops when it is urgent; every other wait ends
+/// on both.
+pub struct Rig<'a> {
     description: RigDescription,
-    boards: Vec<Grbl>,
+    boards: Vec<Grbl<'a>>,
+    watch: &'a dyn Watch,
     clock: Arc<dyn Clock>,
     wait_scale: f64,
     at: Option<AxisAngles>,
     lamp_on: bool,
 }
 
-impl Rig {
+impl<'a> Rig<'a> {
     /// Opens and greets every board and compares its settings with the description. Moves nothing.
     ///
     /// # Errors
-    /// A board cannot be reached, or its settings contradict the description.
-    pub fn connect(description: &RigDescription, connection: &mut Connection) -> Result<Self> {
+    /// A board cannot be reached, its settings contradict the description, or `watch` asks to stop.
+    pub fn connect(
+        description: &RigDescription,
+        connection: &mut Connection,
+        watch: &'a dyn Watch,
+    ) -> Result<Self> {
         let mut boards = Vec::new();
         for board in &description.boards {
             let transport = (connection.open)(board)?;
-            let grbl = Grbl::connect(&board.name, transport, connection.clock.clone())?;
+            let grbl = Grbl::connect(&board.name, transport, connection.clock.clone(), watch)?;
             check_settings(description, board, &grbl)?;
             boards.push(grbl);
         }
         Ok(Self {
             description: description.clone(),
             boards,
+            watch,
             clock: connection.clock.clone(),
             wait_scale: connection.wait_scale,
             at: None,
@@ -66,20 +98,63 @@ impl Rig {
         all.join("; ")
     }
 
+    /// Passes unless the operator asked to end.
+    ///
+    /// # Errors
+    /// The operator did.
+    pub fn obey(&self) -> Step {
+        if self.watch.urgent() {
+            return Err(Halt::Failed(stopped_at_once()));
+        }
+        if self.watch.cancelled() {
+            return Err(Halt::Cancelled);
+        }
+        Ok(())
+    }
+
+    /// Lets time pass.
+    fn wait(&self, seconds: f64) -> Step {
+        let end = self.clock.now() + seconds * self.wait_scale;
+        loop {
+            self.obey()?;
+            let rest = end - self.clock.now();
+            if rest <= 0.0 {
+                return Ok(());
+            }
+            self.clock.sleep(rest.min(LOOK));
+        }
+    }
+
+    /// Asks the operator; a request to end counts more than the answer.
+    ///
+    /// # Errors
+    /// The answer is no, or the operator asked to end.
+    pub fn ask(&self, prompt: &mut Prompt, question: &str) -> Step {
+        self.obey()?;
+        let answer = prompt(question);
+        self.obey()?;
+        Ok(answer?)
+    }
+
     /// Makes the position of every board known: `$H`, or the operator's word.
     ///
     /// # Errors
-    /// Homing fails, or the operator declines.
-    pub fn home(&mut self, prompt: &mut Prompt) -> Result<()> {
-        for (board, grbl) in self.description.boards.iter().zip(&mut self.boards) {
+    /// Homing fails, or the operator declines or asks to end.
+    pub fn home(&mut self, prompt: &mut Prompt) -> Step {
+        for i in 0..self.boards.len() {
+            let board = &self.description.boards[i];
             match board.homing {
-                Homing::Cycle => grbl.home()?,
+                Homing::Cycle => {
+                    self.obey()?;
+                    self.boards[i].home()?;
+                }
                 Homing::ByHand => {
-                    prompt(&format!(
+                    let question = format!(
                         "board '{}' has no limit switches: do its axes stand where the controller reads 0?",
                         board.name
-                    ))?;
-                    grbl.trust_position()?;
+                    );
+                    self.ask(prompt, &question)?;
+                    self.boards[i].trust_position()?;
                 }
             }
         }
@@ -101,9 +176,11 @@ impl Rig {
     /// (fixed axes: their angle).
     ///
     /// # Errors
-    /// An angle is outside its limits (nothing is sent then), or a board fails; call [`Rig::make_safe`].
-    pub fn move_to(&mut self, angles: &AxisAngles) -> Result<AxisAngles> {
+    /// An angle is outside its limits (nothing is sent then), or a board fails; call [`Rig::make_safe`]. The operator
+    /// asked to end before the move or while it settled.
+    pub fn move_to(&mut self, angles: &AxisAngles) -> Step<AxisAngles> {
         self.description.check_angles(angles)?;
+        self.obey()?;
         let mut timeouts = Vec::new();
         for i in 0..self.boards.len() {
             let targets = self.targets(self.boards[i].name(), angles);
@@ -123,8 +200,8 @@ impl Rig {
         }
         let settle_ms = self.settle_ms(angles);
         self.at = Some(*angles);
-        self.clock.sleep(settle_ms / 1000.0 * self.wait_scale);
-        self.verify()
+        self.wait(settle_ms / 1000.0)?;
+        Ok(self.verify()?)
     }
 
     /// The longest settle time of the axes that moved.
@@ -175,6 +252,14 @@ impl Rig {
         } else {
             self.description.feed_deg_per_min
         };
+        if !(0.0..=LONGEST_MOVE).contains(&slowest) {
+            return Err(Error::new(format!(
+                "board '{name}': a move would take {slowest:.0} s, expected at most {LONGEST_MOVE}"
+            ))
+            .with_hint(
+                "compare $110.. and $120.. of the board and feed_deg_per_min of the rig file",
+            ));
+        }
         Ok((feed, slowest))
     }
 
@@ -198,7 +283,7 @@ impl Rig {
         Ok(read_back)
     }
 
-    fn lamp_board(&mut self) -> Result<&mut Grbl> {
+    fn lamp_board(&mut self) -> Result<&mut Grbl<'a>> {
         let name = &self.description.lamp.board;
         self.boards
             .iter_mut()
@@ -209,8 +294,8 @@ impl Rig {
     /// Switches the lamp on and waits for its warm-up, unless it is on.
     ///
     /// # Errors
-    /// The board fails.
-    pub fn lamp_on(&mut self) -> Result<()> {
+    /// The board fails, or the operator asked to end while the lamp warmed up; it is on then.
+    pub fn lamp_on(&mut self) -> Step {
         if self.lamp_on {
             return Ok(());
         }
@@ -220,8 +305,7 @@ impl Rig {
         );
         self.lamp_board()?.lamp_on(power)?;
         self.lamp_on = true;
-        self.clock.sleep(warm_up * self.wait_scale);
-        Ok(())
+        self.wait(warm_up)
     }
 
     /// Switches the lamp off, unless it is off.
@@ -241,7 +325,7 @@ impl Rig {
     ///
     /// # Errors
     /// As [`Rig::move_to`].
-    pub fn park(&mut self) -> Result<()> {
+    pub fn park(&mut self) -> Step {
         let Some(mut angles) = self.at else {
             return Ok(());
         };
@@ -251,64 +335,30 @@ impl Rig {
         for (name, angle) in &self.description.park_deg {
             angles.0[*name as usize] = *angle;
         }
-        self.move_to(&angles).context(|| "cannot park")?;
-        Ok(())
+        match self.move_to(&angles) {
+            Ok(_) => Ok(()),
+            Err(Halt::Failed(error)) => Err(Error::new("cannot park").with_source(error).into()),
+            Err(Halt::Cancelled) => Err(Halt::Cancelled),
+        }
     }
 
-    /// Stops everything and switches the lamp off, board by board; one line per board says what happened.
+    /// Stops everything and switches the lamp off; one line per board says what happened. Every board that may be moving,
+    /// and after [`Watch::urgent`] every board, gets its hold before any is waited for.
     pub fn make_safe(&mut self) -> Vec<String> {
         self.lamp_on = false;
-        self.boards
-            .iter_mut()
+        let urgent = self.watch.urgent();
+        for board in &mut self.boards {
+            if urgent || board.may_be_moving() {
+                board.hold();
+            }
+        }
+        // A homing board does not obey the hold: its reset comes first.
+        let (homing, others): (Vec<_>, Vec<_>) =
+            self.boards.iter_mut().partition(|b| b.may_be_homing());
+        homing
+            .into_iter()
+            .chain(others)
             .map(|b| b.make_safe().unwrap_or_else(|e| e.report()))
             .collect()
     }
-}
-
-/// Compares what a board says of itself with what the description expects of it.
-fn check_settings(description: &RigDescription, board: &Board, grbl: &Grbl) -> Result<()> {
-    let setting = |n: u16| grbl.settings().get(&n).copied().unwrap_or(0.0);
-    let name = &board.name;
-    if setting(13) != 0.0 {
-        return Err(Error::new(format!(
-            "board '{name}' reports inches ($13={})",
-            setting(13)
-        ))
-        .with_hint("send $13=0"));
-    }
-    if description.lamp.board == *name {
-        grbl.check_lamp_settings(description.lamp.power_s)?;
-    }
-    if board.homing == Homing::Cycle && setting(22) <= 0.0 {
-        return Err(Error::new(format!(
-            "board '{name}' shall be homed with $H but has homing switched off ($22=0)"
-        ))
-        .with_hint("send $22=1, or set homing = \"by_hand\" in the rig file"));
-    }
-    if setting(20) > 0.0 {
-        for (axis, motor) in description.motors_of(name) {
-            let index = "XYZABC".find(motor.letter).unwrap_or(0);
-            let travel = setting(130 + index as u16);
-            let ends = [motor.units(motor.min_deg), motor.units(motor.max_deg)];
-            // Stock Grbl (no Z among its build options) has its machine space below zero; grblHAL may put it elsewhere.
-            let stock = !grbl.firmware().contains("HAL")
-                && !grbl.options().split(',').next().unwrap_or("").contains('Z');
-            let fits = if stock {
-                ends.iter().all(|e| (-travel..=0.0).contains(e))
-            } else {
-                (ends[0] - ends[1]).abs() <= travel
-            };
-            if !fits {
-                return Err(Error::new(format!(
-                    "axis {}: limits {} to {} degrees are machine positions {} to {} of board '{name}', whose soft limits allow {} to 0",
-                    axis.name(), motor.min_deg, motor.max_deg, ends[0], ends[1], -travel
-                ))
-                .with_hint(format!(
-                    "correct offset_deg, sign or the limits in the rig file, or the travel ${} on the board",
-                    130 + index
-                )));
-            }
-        }
-    }
-    Ok(())
 }

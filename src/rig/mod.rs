@@ -7,6 +7,7 @@
 //!                                                           serial port | model in process | replay of a wire log
 //! ```
 
+mod board_check;
 pub mod capture;
 mod description;
 mod grbl;
@@ -15,10 +16,13 @@ mod machine;
 mod model;
 mod replay;
 mod replay_camera;
+mod rig_file;
 mod serial;
+mod shots;
 pub mod simulated;
 mod simulator;
 mod transport;
+mod utc;
 #[cfg(feature = "uvc")]
 mod uvc;
 mod wire_log;
@@ -28,7 +32,7 @@ pub use description::{
 };
 pub use grbl::{Grbl, Status, StopReport, Target};
 pub use kinematics::AxisAngles;
-pub use machine::{Connection, Opener, Prompt, Rig};
+pub use machine::{Connection, Halt, Opener, Prompt, Rig, Step};
 pub use model::{Fault, FaultKind, Flavor, GrblModel, ModelOptions};
 pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;

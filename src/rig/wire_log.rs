@@ -135,12 +135,15 @@ enum Sink {
 #[derive(Clone)]
 pub struct WireLog {
     sink: Arc<Mutex<Sink>>,
+    /// Why an entry of recorded traffic could not be added.
+    failure: Arc<Mutex<Option<String>>>,
 }
 
 impl Default for WireLog {
     fn default() -> Self {
         Self {
             sink: Arc::new(Mutex::new(Sink::Memory(String::new()))),
+            failure: Arc::default(),
         }
     }
 }
@@ -185,9 +188,34 @@ impl WireLog {
         }
         Ok(())
     }
+
+    fn fail(&self, why: &io::Error) {
+        let mut failure = self
+            .failure
+            .lock()
+            .expect("the log's lock is never poisoned");
+        failure.get_or_insert_with(|| why.to_string());
+    }
+
+    /// Fails when recorded traffic is missing from the log.
+    ///
+    /// # Errors
+    /// With the reason of the first entry that could not be written.
+    pub fn check(&self) -> Result<()> {
+        match &*self
+            .failure
+            .lock()
+            .expect("the log's lock is never poisoned")
+        {
+            None => Ok(()),
+            Some(why) => Err(Error::new(format!("the wire log cannot be written: {why}"))
+                .with_hint("is the disk full?")),
+        }
+    }
 }
 
-/// Wraps a transport and logs what passes.
+/// Wraps a transport and logs what passes. A log that cannot be written (a full disk) keeps no byte from the board and
+/// none from the driver; [`WireLog::check`] tells of it.
 pub struct RecordingTransport {
     inner: Box<dyn Transport>,
     board: String,
@@ -211,28 +239,29 @@ impl RecordingTransport {
         }
     }
 
-    fn record(&self, way: Way, bytes: &[u8]) -> io::Result<()> {
-        self.log.add(&WireEntry {
+    fn record(&self, way: Way, bytes: &[u8]) {
+        let added = self.log.add(&WireEntry {
             t: self.clock.now(),
             board: self.board.clone(),
             way,
             bytes: bytes.to_vec(),
-        })
+        });
+        if let Err(e) = added {
+            self.log.fail(&e);
+        }
     }
 }
 
 impl Transport for RecordingTransport {
     fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let logged = self.record(Way::ToBoard, bytes);
-        // A full disk must not keep a stop command from the board.
-        self.inner.write(bytes)?;
-        logged
+        self.record(Way::ToBoard, bytes);
+        self.inner.write(bytes)
     }
 
     fn read(&mut self, buffer: &mut [u8], timeout: f64) -> io::Result<usize> {
         let n = self.inner.read(buffer, timeout)?;
         if n > 0 {
-            self.record(Way::FromBoard, &buffer[..n])?;
+            self.record(Way::FromBoard, &buffer[..n]);
         }
         Ok(n)
     }
@@ -257,6 +286,37 @@ mod tests {
             };
             assert_eq!(parse_wire_log(&entry.to_line()).unwrap(), [entry]);
         }
+    }
+
+    #[test]
+    fn a_full_disk_keeps_no_byte_from_the_board_and_is_told() {
+        struct Board(Arc<Mutex<Vec<u8>>>);
+        impl Transport for Board {
+            fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+                self.0.lock().unwrap().extend_from_slice(bytes);
+                Ok(())
+            }
+            fn read(&mut self, buffer: &mut [u8], _: f64) -> io::Result<usize> {
+                buffer[0] = b'k';
+                Ok(1)
+            }
+        }
+        let Ok(full) = File::options().write(true).open("/dev/full") else {
+            println!("skipped: no /dev/full here");
+            return;
+        };
+        let log = WireLog::new();
+        log.check().unwrap();
+        *log.sink.lock().unwrap() = Sink::File(full);
+        let heard = Arc::new(Mutex::new(Vec::new()));
+        let clock = Arc::new(crate::rig::VirtualClock::new());
+        let board = Box::new(Board(heard.clone()));
+        let mut wire = RecordingTransport::new(board, "main", clock, log.clone());
+        wire.write(b"!").unwrap();
+        assert_eq!(wire.read(&mut [0; 8], 0.1).unwrap(), 1);
+        assert_eq!(*heard.lock().unwrap(), b"!");
+        let error = log.check().unwrap_err().report();
+        assert!(error.contains("the wire log cannot be written"), "{error}");
     }
 
     #[test]

@@ -7,6 +7,8 @@ use std::io;
 
 #[derive(Debug)]
 pub(super) enum Fault {
+    /// The operator asked for it.
+    Stopped,
     /// The device is gone, or a replay diverged.
     Disconnected(io::Error),
     /// No answer in time.
@@ -23,6 +25,11 @@ pub(super) enum Fault {
     Unexpected { what: String, hint: String },
 }
 
+/// The error of a wait that the operator ended.
+pub(in crate::rig) fn stopped_at_once() -> Error {
+    Error::new("stopped at once by the operator")
+}
+
 impl Fault {
     pub(super) fn unexpected(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::Unexpected {
@@ -34,6 +41,7 @@ impl Fault {
     /// The fault told to a person, for the board of this name.
     pub(super) fn told(self, board: &str) -> Error {
         match self {
+            Self::Stopped => stopped_at_once(),
             Self::Disconnected(e) if e.kind() == io::ErrorKind::InvalidData => {
                 let error = Error::new(format!("board '{board}': the replay failed"));
                 match e.into_inner() {

@@ -1,8 +1,9 @@
-//! Lines over a byte transport: one in flight, unsolicited lines sorted out, every wait bounded.
+//! Lines over a byte transport: one in flight, unsolicited lines sorted out, every wait bounded and interruptible.
 
 use super::fault::Fault;
 use super::replies::Reply;
 use super::status::Status;
+use crate::base::Watch;
 use crate::rig::transport::{Clock, Transport};
 use std::io;
 use std::sync::Arc;
@@ -13,10 +14,29 @@ const POLL: f64 = 0.25;
 const POLL_SILENCE: f64 = 4.0;
 /// Characters a line may have.
 const MAX_LINE: usize = 79;
+/// Seconds after which a wait looks at its [`Watch`] again.
+const LOOK: f64 = 0.05;
+/// Lines in a row that are still handed out after their deadline; a buffer holds fewer.
+const LATE_LINES: u32 = 512;
+/// Reads in a row after the deadline that may bring bytes and no line end.
+const LATE_READS: u32 = 100;
 
-pub(super) struct Link {
+/// Which requests of the operator end a wait.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Obey {
+    /// To end early or at once: nothing has moved yet.
+    Any,
+    /// Only to stop at once.
+    Urgent,
+    /// None: a stop is under way.
+    Nothing,
+}
+
+pub(super) struct Link<'a> {
     transport: Box<dyn Transport>,
     pub(super) clock: Arc<dyn Clock>,
+    watch: &'a dyn Watch,
+    pub(super) obey: Obey,
     input: Vec<u8>,
     /// An alarm or a banner was seen since the last look.
     position_lost: bool,
@@ -24,18 +44,45 @@ pub(super) struct Link {
     pub(super) halted: bool,
     /// The last work offset reported, for controllers that report work positions.
     work_offset: Option<Vec<f64>>,
+    /// The last overrides reported since the last start, percent: most reports leave them out.
+    overrides: Option<[f64; 3]>,
+    /// Lines handed out in a row after their deadline.
+    late_lines: u32,
 }
 
-impl Link {
-    pub(super) fn new(transport: Box<dyn Transport>, clock: Arc<dyn Clock>) -> Self {
+impl<'a> Link<'a> {
+    pub(super) fn new(
+        transport: Box<dyn Transport>,
+        clock: Arc<dyn Clock>,
+        watch: &'a dyn Watch,
+    ) -> Self {
         Self {
             transport,
             clock,
+            watch,
+            obey: Obey::Any,
             input: Vec::new(),
             position_lost: false,
             halted: false,
             work_offset: None,
+            overrides: None,
+            late_lines: 0,
         }
+    }
+
+    /// Fails when the operator asked for what this wait obeys.
+    fn interrupted(&self) -> Result<(), Fault> {
+        let asked = match self.obey {
+            Obey::Any => self.watch.cancelled() || self.watch.urgent(),
+            Obey::Urgent => self.watch.urgent(),
+            Obey::Nothing => false,
+        };
+        if asked { Err(Fault::Stopped) } else { Ok(()) }
+    }
+
+    /// The last overrides reported since the last start.
+    pub(super) fn overrides(&self) -> Option<[f64; 3]> {
+        self.overrides
     }
 
     /// True once after an alarm or a banner.
@@ -47,21 +94,35 @@ impl Link {
         self.transport.write(bytes).map_err(Fault::Disconnected)
     }
 
-    /// The next line, classified; none when `deadline` passes first.
+    /// The next line, classified; none when `deadline` passes first. Lines that had arrived by then are handed out after
+    /// it, but not without end.
     pub(super) fn next_reply(&mut self, deadline: f64) -> Result<Option<Reply>, Fault> {
+        let mut late_reads = 0;
         loop {
+            self.interrupted()?;
+            let late = self.clock.now() > deadline;
+            if !late {
+                self.late_lines = 0;
+            } else if self.late_lines >= LATE_LINES {
+                self.late_lines = 0;
+                return Ok(None);
+            }
             if let Some(end) = self.input.iter().position(|b| *b == b'\n') {
                 let mut line: Vec<u8> = self.input.drain(..=end).collect();
                 while matches!(line.last(), Some(b'\n' | b'\r')) {
                     line.pop();
                 }
+                self.late_lines += u32::from(late);
                 return Ok(Some(self.noted(Reply::of(&line))));
             }
-            if self.input.len() > 4096 {
-                let bytes = std::mem::take(&mut self.input);
-                return Ok(Some(Reply::Garbled(bytes[..64].to_vec())));
+            late_reads += u32::from(late);
+            if self.input.len() > 4096 || (late_reads > LATE_READS && !self.input.is_empty()) {
+                self.late_lines = LATE_LINES;
+                let mut bytes = std::mem::take(&mut self.input);
+                bytes.truncate(64);
+                return Ok(Some(Reply::Garbled(bytes)));
             }
-            let wait = (deadline - self.clock.now()).max(0.0);
+            let wait = (deadline - self.clock.now()).clamp(0.0, LOOK);
             let mut buffer = [0; 512];
             match self.transport.read(&mut buffer, wait) {
                 Ok(0) => return Err(Fault::Disconnected(io::ErrorKind::BrokenPipe.into())),
@@ -81,8 +142,10 @@ impl Link {
             Reply::Alarm(_) | Reply::Banner(_) => {
                 self.position_lost = true;
                 self.halted = true;
+                self.overrides = None;
             }
             Reply::Status(s) => {
+                self.overrides = s.overrides.or(self.overrides);
                 self.position_lost |= s.is("Alarm");
                 if let Some(offset) = &s.work_offset {
                     self.work_offset = Some(offset.clone());
@@ -145,7 +208,8 @@ impl Link {
         attempts: u32,
     ) -> Result<Option<Status>, Fault> {
         for _ in 0..attempts {
-            while self.next_reply(self.clock.now())?.is_some() {}
+            let now = self.clock.now();
+            while self.next_reply(now)?.is_some() {}
             self.send(b"?")?;
             let deadline = self.clock.now() + timeout;
             while let Some(reply) = self.next_reply(deadline)? {
@@ -164,7 +228,8 @@ impl Link {
 
     /// What has arrived unasked; anything but reports and messages is a fault.
     fn drain(&mut self, during: &str) -> Result<(), Fault> {
-        while let Some(reply) = self.next_reply(self.clock.now())? {
+        let now = self.clock.now();
+        while let Some(reply) = self.next_reply(now)? {
             if !(self.halted && reply == Reply::Ok) {
                 Self::unsolicited(reply, during)?;
             }
@@ -303,7 +368,8 @@ impl Link {
             match reply {
                 Reply::Alarm(_) => alarm = true,
                 Reply::Banner(_) => {
-                    while let Some(reply) = self.next_reply(self.clock.now() + 0.2)? {
+                    let quiet = self.clock.now() + 0.2;
+                    while let Some(reply) = self.next_reply(quiet)? {
                         alarm |= matches!(reply, Reply::Alarm(_));
                     }
                     return Ok(alarm);
@@ -318,10 +384,11 @@ impl Link {
     }
 
     /// The last bytes to a controller that is let go: stop if it moves, lamp off. Errors have nobody to go to.
-    pub(super) fn last_words(&mut self, moving: bool) {
+    pub(super) fn last_words(&mut self, moving: bool, homing: bool) {
         if moving {
             let _ = self.transport.write(b"!");
-            self.clock.sleep(1.0);
+            // A hold does not stop homing, and then there is no position to keep.
+            self.clock.sleep(if homing { 0.0 } else { 1.0 });
             let _ = self.transport.write(b"\x18");
         } else {
             let _ = self.transport.write(b"M5\n");

@@ -3,7 +3,8 @@
 //! One line is in flight at a time, ended by LF. `ok` means queued: a move counts as done only after the barrier
 //! (`G4P0.01`, then Idle and the position read back within tolerance, twice). An alarm or a banner voids every
 //! outstanding `ok` and the position. Every wait has a time limit; whatever is unexpected becomes an error, after which
-//! [`Grbl::make_safe`] stops motion and switches the lamp off.
+//! [`Grbl::make_safe`] stops motion and switches the lamp off. Every wait but those of a stop ends within 0.1 s when
+//! [`Watch::urgent`] says so; connecting ends on [`Watch::cancelled`] too.
 //!
 //! Does not: stream lines ahead, recover from a garbled reply by guessing, reconnect, or look after collisions.
 
@@ -14,13 +15,14 @@ mod motion;
 mod replies;
 mod status;
 
+pub(super) use fault::stopped_at_once;
 pub use motion::{StopReport, Target};
 pub use status::Status;
 
 use super::transport::{Clock, Transport};
-use crate::base::{Context, Error, Result};
+use crate::base::{Context, Error, Result, Watch};
 use fault::Fault;
-use link::Link;
+use link::{Link, Obey};
 use replies::Reply;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -31,9 +33,9 @@ const REPLY_TIMEOUT: f64 = 3.0;
 /// A connected controller.
 ///
 /// Dropping it while the lamp is on or an axis moves switches off and stops as well as that can be done blindly.
-pub struct Grbl {
+pub struct Grbl<'a> {
     name: String,
-    link: Link,
+    link: Link<'a>,
     firmware: String,
     options: String,
     settings: BTreeMap<u16, f64>,
@@ -41,6 +43,10 @@ pub struct Grbl {
     homed: bool,
     /// A motion line was sent and its end was not verified.
     moving: bool,
+    /// `$H` was sent and neither acknowledged nor answered with an alarm.
+    homing: bool,
+    /// The hold of a stop was sent, its reset not yet.
+    held: bool,
     /// The lamp was switched on here and not verifiably off since.
     lamp_on: bool,
     /// A fault happened that only a reset clears up.
@@ -49,25 +55,28 @@ pub struct Grbl {
     lost: bool,
 }
 
-impl Grbl {
+impl<'a> Grbl<'a> {
     /// Connects to the controller behind `transport`: waits out its start-up text, gets it to answer, and reads
     /// version and settings. Moves nothing; a motion or hold that is under way is stopped.
     ///
     /// # Errors
-    /// Nothing answers, or what answers is not Grbl or grblHAL.
+    /// Nothing answers, what answers is not Grbl or grblHAL, or `watch` asks to stop.
     pub fn connect(
         name: &str,
         transport: Box<dyn Transport>,
         clock: Arc<dyn Clock>,
+        watch: &'a dyn Watch,
     ) -> Result<Self> {
         let mut board = Self {
             name: name.to_owned(),
-            link: Link::new(transport, clock),
+            link: Link::new(transport, clock, watch),
             firmware: String::new(),
             options: String::new(),
             settings: BTreeMap::new(),
             homed: false,
             moving: false,
+            homing: false,
+            held: false,
             lamp_on: false,
             faulted: false,
             lost: false,
@@ -76,6 +85,7 @@ impl Grbl {
         board
             .checked(met)
             .context(|| format!("cannot connect to board '{name}'"))?;
+        board.link.obey = Obey::Urgent;
         Ok(board)
     }
 
@@ -87,6 +97,7 @@ impl Grbl {
             _ => {
                 self.moving = true;
                 self.stop_in_order()?;
+                self.moving = false;
             }
         }
         let info = self.link.exchange("$I", REPLY_TIMEOUT)?;
@@ -308,7 +319,10 @@ impl Grbl {
             return Ok(format!("board '{}': {report}", self.name));
         }
         if self.lamp_on {
-            if self.lamp_off().is_ok() {
+            let obey = std::mem::replace(&mut self.link.obey, Obey::Nothing);
+            let off = self.lamp_off();
+            self.link.obey = obey;
+            if off.is_ok() {
                 return Ok(format!("board '{}': lamp off", self.name));
             }
             let report = self.controlled_stop()?;
@@ -318,10 +332,10 @@ impl Grbl {
     }
 }
 
-impl Drop for Grbl {
+impl Drop for Grbl<'_> {
     fn drop(&mut self) {
         if !self.lost && (self.moving || self.lamp_on) {
-            self.link.last_words(self.moving);
+            self.link.last_words(self.moving, self.homing);
         }
     }
 }

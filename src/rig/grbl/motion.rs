@@ -1,6 +1,7 @@
 //! Homing, moving with the position verified, and stopping without losing steps.
 
 use super::fault::Fault;
+use super::link::Obey;
 use super::{Grbl, REPLY_TIMEOUT, Status};
 use crate::base::Result;
 use std::fmt;
@@ -39,14 +40,20 @@ impl fmt::Display for StopReport {
 /// Letters in the order of a status report's coordinates.
 const LETTERS: [char; 8] = ['X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V'];
 
-impl Grbl {
+impl Grbl<'_> {
     /// Homes with `$H` and takes the position as known.
     ///
     /// # Errors
     /// Homing is off, fails, or takes more than 3 minutes.
     pub fn home(&mut self) -> Result<()> {
         self.moving = true;
+        self.homing = true;
         let result = self.home_and_prepare();
+        // After an alarm or a restart the cycle is over; after anything else it may still run.
+        self.homing = !matches!(
+            result,
+            Ok(()) | Err(Fault::Alarm { .. } | Fault::Restarted { .. } | Fault::Refused { .. })
+        );
         self.checked(result)?;
         self.moving = false;
         self.homed = true;
@@ -178,7 +185,7 @@ impl Grbl {
                 "clear the cause at the board and start again",
             ));
         }
-        if let Some(percent) = status.overrides
+        if let Some(percent) = self.link.overrides()
             && percent.iter().any(|p| (p - 100.0).abs() > 0.5)
         {
             return Err(Fault::unexpected(
@@ -232,7 +239,35 @@ impl Grbl {
         self.checked(result)
     }
 
-    /// Feed hold, standstill, then reset: stops without losing steps where that is possible. Switches the lamp off.
+    /// Sends the feed hold of a stop and does not wait; [`Grbl::controlled_stop`] must follow. With several boards all of
+    /// them begin to brake before the first is waited for.
+    pub fn hold(&mut self) {
+        if !self.lost && !self.held {
+            // Only a reset clears the hold. A board that cannot be reached tells it in the stop that follows.
+            self.faulted = true;
+            self.held = self.send_hold().is_ok();
+        }
+    }
+
+    /// True while axes may be moving, as far as is known here.
+    pub fn may_be_moving(&self) -> bool {
+        self.moving
+    }
+
+    /// True while a homing cycle may be running: a hold does not stop it.
+    pub fn may_be_homing(&self) -> bool {
+        self.homing
+    }
+
+    fn send_hold(&mut self) -> Result<(), Fault> {
+        if self.link.halted && !self.homing {
+            return Ok(());
+        }
+        self.link.send(b"!")
+    }
+
+    /// Feed hold, standstill, then reset: stops without losing steps where that is possible. Switches the lamp off. A
+    /// homing cycle, which obeys no hold, is reset at once.
     ///
     /// # Errors
     /// When the board is gone or does not even answer a reset.
@@ -244,18 +279,26 @@ impl Grbl {
         let report = self.checked(result)?;
         self.homed = trusted && report.position_kept;
         self.moving = false;
+        self.homing = false;
         self.lamp_on = false;
         self.faulted = false;
         Ok(report)
     }
 
     pub(super) fn stop_in_order(&mut self) -> Result<StopReport, Fault> {
-        if !self.link.halted {
-            self.link.send(b"!")?;
+        let obey = std::mem::replace(&mut self.link.obey, Obey::Nothing);
+        let report = self.brake_and_reset();
+        self.link.obey = obey;
+        report
+    }
+
+    fn brake_and_reset(&mut self) -> Result<StopReport, Fault> {
+        if !std::mem::take(&mut self.held) {
+            self.send_hold()?;
         }
         let deadline = self.link.clock.now() + 15.0;
         let mut before = None;
-        while self.link.clock.now() < deadline {
+        while !self.homing && self.link.clock.now() < deadline {
             match self.link.status_tolerant(1.0, 2)? {
                 // Silent: a critical alarm. Only the reset helps.
                 None => break,

@@ -57,7 +57,7 @@ impl Reply {
         if let Some((number, value)) = text.strip_prefix('$').and_then(|t| t.split_once('=')) {
             // Start-up blocks ($N0=) and settings that are not numbers are listings like any other.
             return match (number.parse(), value.parse()) {
-                (Ok(n), Ok(v)) => Some(Self::Setting(n, v)),
+                (Ok(n), Ok(v)) if f64::is_finite(v) => Some(Self::Setting(n, v)),
                 _ => Some(Self::Message(text.to_owned())),
             };
         }
@@ -83,6 +83,7 @@ mod tests {
             Reply::Banner(_)
         ));
         assert!(matches!(Reply::of(b"$N0="), Reply::Message(_)));
+        assert!(matches!(Reply::of(b"$22=nan"), Reply::Message(_)));
         assert!(matches!(Reply::of(b"<Idle|MPos:0,0,0>"), Reply::Status(_)));
     }
 

@@ -46,7 +46,10 @@ impl Status {
                 "WCO" => status.work_offset = Some(numbers(value)?),
                 "Ov" => status.overrides = Some(numbers(value)?.try_into().ok()?),
                 "FS" => {
-                    let [feed, speed] = numbers(value)?.try_into().ok()?;
+                    // A third number is the speed measured by a spindle encoder.
+                    let [feed, speed, ..] = numbers(value)?[..] else {
+                        return None;
+                    };
                     status.feed_and_speed = Some((feed, speed));
                 }
                 "Pn" => status.pins = Some(value.to_owned()),
@@ -97,6 +100,8 @@ mod tests {
         assert_eq!(s.overrides, Some([130.0, 100.0, 100.0]));
         assert_eq!(s.feed_and_speed, Some((900.0, 0.0)));
         assert_eq!(s.work_offset, None);
+        let s = Status::parse("Idle|MPos:0,0,0|FS:900,1000,987").unwrap();
+        assert_eq!(s.feed_and_speed, Some((900.0, 1000.0)));
     }
 
     #[test]

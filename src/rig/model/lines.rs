@@ -31,6 +31,9 @@ impl GrblModel {
             return;
         }
         match byte {
+            b'?' if self.homing_until.is_some() && self.options.flavor == Flavor::Grbl => {
+                self.report_due = true;
+            }
             b'?' => self.status_report(),
             b'!' => self.begin_hold(Hold::Feed),
             b'~' => self.resume(),

@@ -11,111 +11,16 @@
 mod gcode;
 mod lines;
 mod motion;
+mod options;
 mod report;
 mod settings;
+mod stopping;
+
+pub use options::{Fault, FaultKind, Flavor, ModelOptions};
 
 use motion::{Block, Motion};
 use settings::Settings;
 use std::collections::VecDeque;
-
-/// Which firmware is modeled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Flavor {
-    /// Grbl 1.1h, axes X Y Z.
-    Grbl,
-    /// grblHAL 1.1f, axes X Y Z A B.
-    GrblHal,
-}
-
-impl Flavor {
-    /// The axis letters.
-    pub fn letters(self) -> &'static [char] {
-        match self {
-            Self::Grbl => &['X', 'Y', 'Z'],
-            Self::GrblHal => &['X', 'Y', 'Z', 'A', 'B'],
-        }
-    }
-}
-
-/// Something that goes wrong in the middle of the n-th motion line (1 = first) after power-up.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fault {
-    /// Which motion line.
-    pub on_move: u32,
-    /// What goes wrong.
-    pub kind: FaultKind,
-}
-
-/// What can go wrong.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum FaultKind {
-    /// The board restarts by itself halfway.
-    Reset,
-    /// An alarm with this number halfway.
-    Alarm(u8),
-    /// The line's `ok` arrives as `o\xfek`.
-    Garble,
-    /// The line is executed and never acknowledged; nor is any later one.
-    NeverOk,
-    /// The device disappears halfway.
-    Vanish,
-    /// The first axis ends this many units short of the target, and says so.
-    FallShort(f64),
-    /// Somebody presses the hold button halfway.
-    Hold,
-}
-
-/// How a model is set up.
-#[derive(Debug, Clone)]
-pub struct ModelOptions {
-    /// Which firmware.
-    pub flavor: Flavor,
-    /// Changed `$` settings; unknown numbers are ignored.
-    pub settings: Vec<(u16, f64)>,
-    /// A blank EEPROM: complaints and (Grbl) a settings dump before the banner.
-    pub blank_eeprom: bool,
-    /// Seconds from power-up to the banner; what arrives earlier is lost.
-    pub boot: f64,
-    /// Seconds from cause to reply.
-    pub latency: f64,
-    /// Limit switch and button letters reported in every status (`Pn:`).
-    pub pins: String,
-    /// What goes wrong.
-    pub faults: Vec<Fault>,
-}
-
-impl ModelOptions {
-    /// A controller as it comes from the factory: homing and soft limits off, slow.
-    pub fn factory(flavor: Flavor) -> Self {
-        Self {
-            flavor,
-            settings: Vec::new(),
-            blank_eeprom: true,
-            boot: 1.0,
-            latency: 0.004,
-            pins: String::new(),
-            faults: Vec::new(),
-        }
-    }
-
-    /// A controller set up for a rig in degrees: homing with lock and soft limits on, 360 units of travel, 100 units/s.
-    pub fn rig(flavor: Flavor) -> Self {
-        let homing = if flavor == Flavor::Grbl { 1.0 } else { 5.0 };
-        let mut settings = vec![(22, homing), (20, 1.0)];
-        for axis in 0..flavor.letters().len() as u16 {
-            settings.extend([
-                (110 + axis, 6000.0),
-                (120 + axis, 500.0),
-                (130 + axis, 360.0),
-            ]);
-        }
-        Self {
-            settings,
-            blank_eeprom: false,
-            ..Self::factory(flavor)
-        }
-    }
-}
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Hold {
@@ -177,6 +82,8 @@ pub struct GrblModel {
     modal: Modal,
     hold: Option<Hold>,
     homing_until: Option<f64>,
+    /// Grbl was asked for its state while homing, and answers afterwards.
+    report_due: bool,
     homed: bool,
     alarm: Option<u8>,
     /// Deaf until 0x18.
@@ -215,6 +122,7 @@ impl GrblModel {
             modal: POWER_UP,
             hold: None,
             homing_until: None,
+            report_due: false,
             homed: false,
             alarm: None,
             critical: false,
@@ -283,7 +191,7 @@ impl GrblModel {
 
     /// True while an axis moves.
     pub fn is_moving(&self) -> bool {
-        self.motion.is_some()
+        self.motion.is_some() || self.homing_until.is_some()
     }
 
     /// Axis positions in machine units, at the time last heard of.
@@ -348,6 +256,9 @@ impl GrblModel {
         self.planned.clone_from(&self.position);
         self.homed = true;
         self.alarm = None;
+        if std::mem::take(&mut self.report_due) {
+            self.status_report();
+        }
         self.ok();
     }
 
@@ -416,146 +327,5 @@ impl GrblModel {
             }
             _ => {}
         }
-    }
-
-    // -- faults -----------------------------------------------------------------------------------------------------
-
-    /// Counts a motion line and arms its fault; returns the fault that strikes at once.
-    fn count_move(&mut self, target: &mut [f64]) -> Option<FaultKind> {
-        self.moves_seen += 1;
-        let kind = self
-            .options
-            .faults
-            .iter()
-            .find(|f| f.on_move == self.moves_seen)?
-            .kind;
-        match kind {
-            FaultKind::FallShort(units) => {
-                target[0] -= units;
-                None
-            }
-            FaultKind::Garble | FaultKind::NeverOk => Some(kind),
-            _ => {
-                // "Halfway" is known once the line runs; see `arm`.
-                self.fault_at = Some((f64::INFINITY, kind));
-                None
-            }
-        }
-    }
-
-    /// Sets the time of an armed fault to the middle of the motion that was just planned.
-    fn arm(&mut self) {
-        let Some((f64::INFINITY, kind)) = self.fault_at else {
-            return;
-        };
-        let end = self.motion.as_ref().map_or(self.now, Motion::end);
-        self.fault_at = Some(((self.now + end) / 2.0, kind));
-    }
-
-    fn suffer(&mut self, kind: FaultKind) {
-        match kind {
-            FaultKind::Reset => {
-                self.freeze();
-                self.modal = POWER_UP;
-                self.forget_everything_queued();
-                self.position.fill(0.0);
-                self.planned.fill(0.0);
-                self.homed = false;
-                self.alarm = None;
-                self.booting_until = Some(self.now + self.options.boot);
-                self.power_up_text();
-            }
-            FaultKind::Alarm(number) => self.raise_alarm(number),
-            FaultKind::Vanish => self.gone = true,
-            FaultKind::Hold => self.begin_hold(Hold::Feed),
-            FaultKind::Garble | FaultKind::NeverOk | FaultKind::FallShort(_) => {}
-        }
-    }
-
-    // -- stopping ---------------------------------------------------------------------------------------------------
-
-    /// Stops dead where it is.
-    fn freeze(&mut self) {
-        let position = self.position();
-        self.position = self.quantized(position);
-        self.motion = None;
-        self.planned.clone_from(&self.position);
-    }
-
-    fn forget_everything_queued(&mut self) {
-        self.queue.clear();
-        self.lines.clear();
-        self.partial.clear();
-        self.overlong = false;
-        self.waiting = None;
-        self.hold = None;
-        self.homing_until = None;
-        self.sticky_error = None;
-        self.feed_override = 100;
-        self.reports_since_offsets = u32::MAX;
-        self.reports_since_overrides = u32::MAX;
-    }
-
-    /// An alarm outside a reset: everything stops; 1 and 2 leave Grbl deaf.
-    fn raise_alarm(&mut self, number: u8) {
-        self.freeze();
-        self.alarm = Some(number);
-        self.modal.spindle = 5;
-        self.queue.clear();
-        self.homed = false;
-        self.say(&format!("ALARM:{number}"));
-        if matches!(number, 1 | 2) {
-            self.say_later(0.5, "[MSG:Reset to continue]");
-            self.critical = self.options.flavor == Flavor::Grbl;
-        }
-    }
-
-    fn begin_hold(&mut self, hold: Hold) {
-        if self.alarm.is_some() || self.homing_until.is_some() {
-            return;
-        }
-        if let Some(motion) = &mut self.motion
-            && !motion.braking
-        {
-            motion.brake(self.now);
-        }
-        self.hold = Some(hold);
-    }
-
-    fn resume(&mut self) {
-        if !matches!(self.hold, Some(Hold::Feed | Hold::Door)) {
-            return;
-        }
-        self.hold = None;
-        if let Some(motion) = &mut self.motion {
-            motion.resume(self.now);
-        }
-        self.start_next_block();
-    }
-
-    /// 0x18.
-    fn soft_reset(&mut self) {
-        let flavor = self.options.flavor;
-        // The line that was being worked on is acknowledged although it was aborted.
-        let held_up = self.hold.is_some() && !self.lines.is_empty();
-        let aborted =
-            self.waiting.is_some() || self.homing_until.is_some() || self.critical || held_up;
-        let mut delay = 0.04;
-        if self.motion.is_some() || self.homing_until.is_some() {
-            self.freeze();
-            self.alarm = Some(3);
-            self.homed = false;
-            self.say("ALARM:3");
-            delay = if flavor == Flavor::Grbl { 0.55 } else { 0.1 };
-        }
-        self.forget_everything_queued();
-        self.planned.clone_from(&self.position);
-        self.modal = POWER_UP;
-        self.critical = false;
-        if aborted {
-            self.say("ok");
-        }
-        self.booting_until = Some(self.now + delay);
-        self.banner(delay);
     }
 }
