@@ -1,6 +1,11 @@
 //! The fit returns the truth of a smooth scene with a path tracer's noise: from the published start, from corners, with
 //! truths on bounds.
-#![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::float_cmp,
+    clippy::print_stdout,
+    missing_docs
+)]
 
 mod toy;
 

@@ -10,7 +10,7 @@ use crate::rig::{
     AxisName, Camera, Connection, ReplayCamera, RigDescription, SerialTransport, SystemClock,
     Transport, read_wire_log,
 };
-use crate::session::{FrameKind, Plan};
+use crate::session::{FrameKind, Plan, SessionFolder};
 use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,8 +29,10 @@ use std::sync::Arc;
       print the checked plan with every axis target; opens no port
   goniofit capture --rig R.toml --plan P.toml --out session --camera replay:OLD --replay OLD/wire.jsonl
       play a recorded session back byte for byte; nothing moves
-  goniofit capture --rig R.toml --plan P.toml --out session --camera replay:OLD --port /dev/pts/3 --yes
-      drive the board on that port (real, or from `goniofit sim`), taking frames from a recorded session
+  goniofit capture --rig rig_configs/virtual.toml --plan rig_configs/plans/khungurn16.toml --out trial \\
+      --camera replay:mocks/khungurn16_gabardine --port /dev/pts/3 --yes
+      drive the board on that port (real, or from `goniofit sim --rig rig_configs/virtual.toml` in another terminal),
+      taking frames from a recorded session
   goniofit capture --rig two_board_grbl.toml ... --port camera=/dev/ttyUSB0 --port light=/dev/ttyUSB1")]
 pub(crate) struct Arguments {
     /// Rig description
@@ -105,6 +107,10 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
         )
     } else {
         let yes = arguments.yes;
+        terminal.say(format!(
+            "the lamp warms up for {} s each time it is switched on",
+            rig.lamp.warm_up_s
+        ));
         capture::run(
             &rig,
             &plan,
@@ -171,6 +177,18 @@ fn open_camera(
 ) -> Result<Box<dyn Camera>> {
     if let Some(folder) = name.strip_prefix("replay:") {
         let camera = ReplayCamera::open(Path::new(folder))?;
+        let recorded = SessionFolder::open(Path::new(folder))?
+            .manifest()?
+            .exposures_ms;
+        if recorded != options.exposures_ms {
+            return Err(Error::new(format!(
+                "{folder} was recorded at exposures {recorded:?} ms, the rig takes {:?} ms",
+                options.exposures_ms
+            ))
+            .with_hint(format!(
+                "use the rig of the recording: --rig {folder}/rig.toml"
+            )));
+        }
         options.synthetic = camera.is_synthetic();
         return Ok(Box::new(camera));
     }

@@ -2,11 +2,11 @@
 
 use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
-use crate::base::{Context, Result};
+use crate::base::Result;
 use crate::fit::{Budget, FitResult, Method, Options, fit, refuse_existing};
 use crate::report::{Provenance, page};
 use crate::scatter;
-use crate::session::{Measurements, SessionFolder, files};
+use crate::session::{Measurements, files};
 use std::path::{Path, PathBuf};
 
 /// Find the model parameters that reproduce measured intensities
@@ -106,6 +106,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         ..Options::new(a.seed, budget(&a))
     };
     let measurements = Measurements::read(&a.measurements)?;
+    inputs::prepare_folder(&a.out)?;
     let terminal = Terminal::new()?;
     let scene = render::fiber_scene(&a.fabric, model)?;
     let mut result = fit(&scene, &measurements, &options, &terminal)?;
@@ -115,7 +116,6 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     result.synthetic = synthetic(&a.measurements);
     result.command = command_line();
 
-    std::fs::create_dir_all(&a.out).context(|| format!("{} cannot be created", a.out.display()))?;
     result.write(&fit_path, a.force)?;
     files::write_atomic(&page_path, page(&result, &Provenance::default()).as_bytes())?;
     if a.json {
@@ -138,17 +138,13 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
 
 /// Reads a parameter file, or the parameters of an earlier fit.
 fn start(path: &Path, model: &dyn scatter::Model) -> Result<scatter::Parameters> {
-    if let Ok(earlier) = FitResult::read(path) {
-        return scatter::Parameters::from_json(model, &earlier.parameters)
-            .context(|| format!("fit {}", path.display()));
-    }
     inputs::parameters(path, model)
 }
 
-/// Whether the session the measurements lie in is synthetic; unknown when they lie in none.
+/// Whether the session the measurements lie in, or beside, is synthetic; unknown when there is none.
 fn synthetic(measurements: &Path) -> Option<bool> {
     let folder = measurements.parent().filter(|p| !p.as_os_str().is_empty());
-    let session = SessionFolder::open(folder.unwrap_or(Path::new("."))).ok()?;
+    let session = inputs::session(folder.unwrap_or(Path::new("."))).ok()?;
     session.manifest().ok().map(|m| m.synthetic)
 }
 

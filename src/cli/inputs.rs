@@ -2,13 +2,17 @@
 
 use crate::base::{Context, Error, Result};
 use crate::scatter::{Model, Parameters};
-use crate::session::files;
+use crate::session::{SessionFolder, files};
 use std::path::Path;
 
-/// Reads a parameter file (JSON) for `model`.
+/// Reads a parameter file (JSON) for `model`, or the parameters of a fit.json.
 pub(crate) fn parameters(path: &Path, model: &dyn Model) -> Result<Parameters> {
     let what = || format!("parameters {}", path.display());
-    let object = serde_json::from_str(&files::read_text(path)?).context(what)?;
+    let mut object: serde_json::Value =
+        serde_json::from_str(&files::read_text(path)?).context(what)?;
+    if object.get("format").is_some() && object.get("parameters").is_some() {
+        object = object["parameters"].take();
+    }
     Parameters::from_json(model, &object).context(what)
 }
 
@@ -23,6 +27,27 @@ pub(crate) fn fraction(text: &str) -> Result<f64, String> {
             "'{text}' is not a fraction between 0 and 1; write 1% or 0.01"
         )),
     }
+}
+
+/// Opens a session, given its folder or the folder of a demo that holds it as `session/`.
+pub(crate) fn session(folder: &Path) -> Result<SessionFolder> {
+    let inner = folder.join("session");
+    let holds = |f: &Path| f.join("session.json").is_file();
+    SessionFolder::open(if !holds(folder) && holds(&inner) {
+        &inner
+    } else {
+        folder
+    })
+}
+
+/// Makes a folder for results and proves that it can be written, before any long work.
+pub(crate) fn prepare_folder(folder: &Path) -> Result<()> {
+    let what = || format!("{} cannot be written", folder.display());
+    std::fs::create_dir_all(folder).context(what)?;
+    let probe = folder.join(format!(".goniofit.{}.part", std::process::id()));
+    std::fs::write(&probe, b"")
+        .and_then(|()| std::fs::remove_file(&probe))
+        .context(what)
 }
 
 /// Fails when `path` exists and `force` was not given.

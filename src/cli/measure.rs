@@ -200,7 +200,7 @@ fn print_frame(frame: &RawFrame, statistics: &FrameStatistics) {
 }
 
 fn session(arguments: &SessionArguments) -> Result<Outcome> {
-    let session = SessionFolder::open(&arguments.folder)?;
+    let session = inputs::session(&arguments.folder)?;
     let out = arguments
         .out
         .clone()

@@ -140,10 +140,10 @@ pub(super) fn channel_correlation(
     std::array::from_fn(|c| {
         std::array::from_fn(|d| {
             let scale = (sum[c][c] * sum[d][d]).sqrt();
-            if c == d || !(scale > 0.0) {
-                1.0
-            } else {
+            if c != d && scale > 0.0 {
                 (sum[c][d] / scale).clamp(-1.0, 1.0)
+            } else {
+                1.0
             }
         })
     })

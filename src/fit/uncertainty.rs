@@ -3,8 +3,7 @@
 //! Near the fit the estimator is linear in the errors, so in search coordinates its covariance is the sandwich
 //! `H^-1 (J'W S W J + N) H^-1` with S the measurements' covariance and N that of the fit's Monte Carlo noise. Directions
 //! that no render distinguished from noise get no information at all: within them every point of the box is equally
-//! likely. The product of that normal density, centered at the minimizer the model would have *without* bounds, and of
-//! the box is sampled (Gibbs), and intervals are read off the samples. So a parameter on a bound gets a one-sided
+//! likely. The product of that normal density, centered at the fit, and of the box is sampled (Gibbs), and intervals are read off the samples. So a parameter on a bound gets a one-sided
 //! interval, and one the data do not see gets its whole range. Errors of different numbers are taken as independent;
 //! a scale error common to all measurements is not included.
 
@@ -37,7 +36,8 @@ impl Samples {
         noise: &Matrix,
         seed: u64,
     ) -> Self {
-        let (precision, center) = precision(u, model, noise);
+        let precision = precision(space, u, model, noise);
+        let center = u;
         let mut random = Random::keyed(&[seed, 0x0fff_17ce]);
         let p = space.len();
         let mut x = space.clamped(u);
@@ -100,22 +100,31 @@ fn quantile(sorted: &[f64], t: f64) -> f64 {
     sorted[below] + (position - below as f64) * (sorted[above] - sorted[below])
 }
 
-/// Precision matrix and center of the normal density before the box cuts it.
-fn precision(u: &[f64], model: &LinearModel, noise: &Matrix) -> (Matrix, Vec<f64>) {
+/// Precision matrix of the normal density around the fit, before the box cuts it. The Newton step that is left at the fit
+/// (a search ends before it is zero) is added to the errors as if it were one more of them.
+fn precision(space: &SearchSpace, u: &[f64], model: &LinearModel, noise: &Matrix) -> Matrix {
     let p = u.len();
     let seen = model.seen_directions();
     let k = seen.len();
-    let mut center = u.to_vec();
-    let gradient = model.gradient_at(u, &model.curvature);
+    let mut gradient = model.gradient_at(u, &model.curvature);
+    for j in 0..p {
+        // At a bound a force toward the outside is the bound's, not a step left to make.
+        let outward = (u[j] <= space.lower()[j] && gradient[j] > 0.0)
+            || (u[j] >= space.upper()[j] && gradient[j] < 0.0);
+        if outward {
+            gradient[j] = 0.0;
+        }
+    }
+    let left: Vec<f64> = seen
+        .iter()
+        .map(|d| dot(&d.step, &gradient) / d.curvature)
+        .collect();
     let mut covariance = Matrix::zeros(k, k);
     for (a, of_a) in seen.iter().enumerate() {
-        let along = dot(&of_a.step, &gradient) / of_a.curvature;
-        for (x, s) in center.iter_mut().zip(&of_a.step) {
-            *x -= along * s;
-        }
         for (b, of_b) in seen.iter().enumerate() {
-            covariance[(a, b)] =
-                noise.form(&of_a.step, &of_b.step) / (of_a.curvature * of_b.curvature);
+            covariance[(a, b)] = noise.form(&of_a.step, &of_b.step)
+                / (of_a.curvature * of_b.curvature)
+                + left[a] * left[b];
         }
         // Exact data and exact renders would make the covariance singular; 1e-8 is a step too small to matter.
         let tiny = 1e-16 / dot(&of_a.step, &of_a.step).max(1e-300);
@@ -133,7 +142,7 @@ fn precision(u: &[f64], model: &LinearModel, noise: &Matrix) -> (Matrix, Vec<f64
             }
         }
     }
-    (precision, center)
+    precision
 }
 
 fn correlation(samples: &[Vec<f64>]) -> Matrix {

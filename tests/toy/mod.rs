@@ -1,6 +1,6 @@
 //! A smooth nonlinear stand-in for cloth: 16 configurations, 48 intensities, 9 parameters named and bounded like fiber
 //! scattering, with noise like a path tracer's: rare hits, channels correlated, derivatives noisier than means.
-#![allow(dead_code)]
+#![allow(dead_code, unreachable_pub, missing_docs)]
 
 use goniofit::base::{Error, Result, Watch};
 use goniofit::math::{PolarDirection, Random, statistics::Running};
