@@ -53,6 +53,12 @@ const SHOWN: [u32; 4] = [1, 2, 9, 16];
 
 pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     measure_command::quiet_decoder_panics();
+    if !(1.0..=86_400.0).contains(&a.fit_time) {
+        return Err(Error::new(format!(
+            "--fit-time {}: expected 1 to 86400 seconds",
+            a.fit_time
+        )));
+    }
     let root = project_root(a.session.as_deref())?;
     let recorded = a.session.clone().unwrap_or_else(|| root.join(RECORDED));
     let truth = read_truth(&recorded)?.ok_or_else(|| {
@@ -80,7 +86,8 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         format!("{rms:.2} +- {se:.2} %")
     };
     data!(
-        "against the noise-free truth: {distance} weighted rms over 48 numbers (goal {GOAL_PERCENT} %)"
+        "against the noise-free truth: {distance} weighted rms over {} numbers (goal {GOAL_PERCENT} %)",
+        3 * result.configs.len()
     );
     let out = a.out.display();
     data!(
@@ -138,7 +145,7 @@ fn capture(a: &Arguments, recorded: &Path, terminal: &Terminal) -> Result<Sessio
         rig.name
     ));
     let options = CaptureOptions {
-        note: format!("demo: frames replayed from {RECORDED}"),
+        note: format!("demo: frames replayed from {}", recorded.display()),
         synthetic: manifest.synthetic,
         ..CaptureOptions::of(&rig)
     };
@@ -213,7 +220,8 @@ fn fit_and_report(
         a.fit_time
     ));
     let model = scatter::model(&truth.model)?;
-    let scene = render::fiber_scene(&root.join(&truth.fabric), model)?;
+    let options = render::surroundings_of(session)?;
+    let scene = render::fiber_scene(&root.join(&truth.fabric), model, options)?;
     let budget = Budget {
         time_s: Some(a.fit_time),
         ..Budget::default()

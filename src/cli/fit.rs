@@ -6,7 +6,7 @@ use crate::base::Result;
 use crate::fit::{Budget, FitResult, Method, Options, fit, refuse_existing};
 use crate::report::{Provenance, page};
 use crate::scatter;
-use crate::session::{Measurements, files};
+use crate::session::{Measurements, SessionFolder, files};
 use std::path::{Path, PathBuf};
 
 /// Find the model parameters that reproduce measured intensities
@@ -108,12 +108,19 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     let measurements = Measurements::read(&a.measurements)?;
     inputs::prepare_folder(&a.out)?;
     let terminal = Terminal::new()?;
-    let scene = render::fiber_scene(&a.fabric, model)?;
+    // The light and the sample square are those of the session the measurements lie in or beside.
+    let session = session(&a.measurements);
+    let surroundings = session
+        .as_ref()
+        .map(render::surroundings_of)
+        .transpose()?
+        .unwrap_or_default();
+    let scene = render::fiber_scene(&a.fabric, model, surroundings)?;
     let mut result = fit(&scene, &measurements, &options, &terminal)?;
     terminal.finish_stage();
     result.fabric = a.fabric.display().to_string();
     result.measurements = a.measurements.display().to_string();
-    result.synthetic = synthetic(&a.measurements);
+    result.synthetic = session.and_then(|s| s.manifest().ok()).map(|m| m.synthetic);
     result.command = command_line();
 
     result.write(&fit_path, a.force)?;
@@ -141,11 +148,10 @@ fn start(path: &Path, model: &dyn scatter::Model) -> Result<scatter::Parameters>
     inputs::parameters(path, model)
 }
 
-/// Whether the session the measurements lie in, or beside, is synthetic; unknown when there is none.
-fn synthetic(measurements: &Path) -> Option<bool> {
+/// The session the measurements lie in or beside, if any.
+fn session(measurements: &Path) -> Option<SessionFolder> {
     let folder = measurements.parent().filter(|p| !p.as_os_str().is_empty());
-    let session = inputs::session(folder.unwrap_or(Path::new("."))).ok()?;
-    session.manifest().ok().map(|m| m.synthetic)
+    inputs::session(folder.unwrap_or(Path::new("."))).ok()
 }
 
 /// The command as typed, quoted for a shell.

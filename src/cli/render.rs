@@ -2,10 +2,11 @@
 
 use super::output::data;
 use super::{Outcome, inputs, terminal::Terminal};
-use crate::base::{Context, Result};
-use crate::render::{Effort, Estimates, FiberScene, FiberSceneOptions, Request, Scene};
+use crate::base::{Context, Error, Result};
+use crate::render::{Effort, Estimates, FiberScene, FiberSceneOptions, LightShape, Request, Scene};
+use crate::rig::RigDescription;
 use crate::scatter::{self, Parameters};
-use crate::session::Plan;
+use crate::session::{Plan, SessionFolder};
 use crate::{fabric, scatter::Model};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -46,6 +47,9 @@ struct MeansArguments {
     /// Configurations to render (TOML)
     #[arg(long, value_name = "PLAN.toml")]
     plan: PathBuf,
+    /// Rig whose light and sample square to render; 10 cm at 61 cm and 1 cm when left out
+    #[arg(long, value_name = "RIG.toml")]
+    rig: Option<PathBuf>,
     /// Camera paths per configuration
     #[arg(long, value_name = "N", conflicts_with = "accuracy")]
     paths: Option<u64>,
@@ -70,10 +74,39 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
 }
 
 /// Reads a fabric and makes it a scene for `model`.
-pub(crate) fn fiber_scene(fabric: &Path, model: &'static dyn Model) -> Result<FiberScene> {
+pub(crate) fn fiber_scene(
+    fabric: &Path,
+    model: &'static dyn Model,
+    options: FiberSceneOptions,
+) -> Result<FiberScene> {
     let fabric = fabric::load(fabric)?;
-    FiberScene::new(&fabric.tile, model, FiberSceneOptions::default())
+    FiberScene::new(&fabric.tile, model, options)
         .context(|| format!("fabric '{}' cannot be rendered", fabric.name))
+}
+
+/// What a rig puts around the cloth.
+pub(crate) fn surroundings(rig: &RigDescription) -> Result<FiberSceneOptions> {
+    let [width, height] = rig.light.size_mm;
+    if (width - height).abs() > 1e-9 * width {
+        return Err(Error::new(format!(
+            "rig '{}': a light of {width} x {height} mm cannot be rendered",
+            rig.name
+        ))
+        .with_hint("the renderer knows square lights"));
+    }
+    let light = LightShape {
+        side: width,
+        distance: rig.light.distance_mm,
+    };
+    Ok(FiberSceneOptions {
+        light,
+        sample_square: rig.camera.sample_square_mm,
+    })
+}
+
+/// What the rig of a session puts around the cloth.
+pub(crate) fn surroundings_of(session: &SessionFolder) -> Result<FiberSceneOptions> {
+    surroundings(&RigDescription::read(&session.root().join("rig.toml"))?)
 }
 
 fn means(a: &MeansArguments) -> Result<Outcome> {
@@ -84,7 +117,9 @@ fn means(a: &MeansArguments) -> Result<Outcome> {
         None => Parameters::defaults(model),
     };
     let terminal = Terminal::new()?;
-    let scene = fiber_scene(&a.fabric, model)?;
+    let options = a.rig.as_deref().map(RigDescription::read).transpose()?;
+    let options = options.map_or(Ok(FiberSceneOptions::default()), |rig| surroundings(&rig))?;
+    let scene = fiber_scene(&a.fabric, model, options)?;
     let effort = match (a.paths, a.accuracy) {
         (Some(n), _) => Effort::Paths(n),
         (None, accuracy) => Effort::Accuracy(accuracy.unwrap_or(0.05)),

@@ -1,7 +1,7 @@
 //! `goniofit simulate`: a synthetic capture session of a rendered fabric.
 
 use super::output::data;
-use super::render::fiber_scene;
+use super::render::{fiber_scene, surroundings};
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
 use crate::render::{Effort, Estimate, FiberScene, Request, Scene, TilePicture};
@@ -105,7 +105,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         );
     }
     let terminal = Terminal::new()?;
-    let scene = fiber_scene(&a.fabric, model)?;
+    let scene = fiber_scene(&a.fabric, model, surroundings(&rig)?)?;
 
     let truth = match &a.truth {
         Some(path) => earlier_truth(path, &a, &parameters, &plan)?,

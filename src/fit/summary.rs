@@ -280,7 +280,8 @@ fn verdict(
             false,
             format!(
                 "the parameters came to rest, but a weighted rms residual of {:.1} % remains, above the tolerance of {:.1} %: \
-                 this model and fabric do not explain the measurements",
+                 from this start nothing better was found; another --start may, or this model and fabric do not explain \
+                 the measurements",
                 quality.weighted_rms_percent,
                 100.0 * options.tolerance
             ),
@@ -313,7 +314,7 @@ fn parameter_results(
             };
             let value = |u: f64| scale * space.value(j, u);
             let u = found.u[j];
-            let outer = samples.interval(space, j, 0.95);
+            let outer = samples.interval(space, j, 0.95, found.u[j]);
             let share = (outer[1] - outer[0]) / (space.upper()[j] - space.lower()[j]);
             let verdict = if share > NOT {
                 Verdict::NotDetermined
@@ -335,7 +336,7 @@ fn parameter_results(
                 lower_bound: scale * info.lower,
                 upper_bound: scale * info.upper,
                 standard_error: 0.5 * (value(u + half) - value(u - half)),
-                interval_68: samples.interval(space, j, 0.68).map(value),
+                interval_68: samples.interval(space, j, 0.68, found.u[j]).map(value),
                 interval_95: outer.map(value),
                 range_share: share,
                 verdict,

@@ -7,7 +7,7 @@
 //! interval, and one the data do not see gets its whole range. Errors of different numbers are taken as independent;
 //! a scale error common to all measurements is not included.
 
-use super::linear::{Matrix, dot, inverse};
+use super::linear::{Matrix, dot, eigen, inverse};
 use super::pool::LinearModel;
 use super::space::SearchSpace;
 use crate::math::Random;
@@ -41,23 +41,11 @@ impl Samples {
         let mut random = Random::keyed(&[seed, 0x0fff_17ce]);
         let p = space.len();
         let mut x = space.clamped(u);
+        let directions = directions(space, &precision);
         let mut samples = vec![Vec::with_capacity(SWEEPS.0); p];
         for sweep in 0..SWEEPS.0 + SWEEPS.1 {
-            for j in 0..p {
-                let (low, high) = (space.lower()[j], space.upper()[j]);
-                let a = precision[(j, j)];
-                // Too little information to curve the box's density noticeably.
-                if a * (high - low).powi(2) < 1e-6 {
-                    x[j] = low + (high - low) * random.uniform();
-                    continue;
-                }
-                let pull: f64 = (0..p)
-                    .filter(|&k| k != j)
-                    .map(|k| precision[(j, k)] * (x[k] - center[k]))
-                    .sum();
-                let (mean, sd) = (center[j] - pull / a, a.sqrt().recip());
-                let z = truncated_normal((low - mean) / sd, (high - mean) / sd, &mut random);
-                x[j] = (mean + sd * z).clamp(low, high);
+            for e in &directions {
+                move_along(e, space, &precision, center, &mut x, &mut random);
             }
             if sweep >= SWEEPS.1 {
                 samples.iter_mut().zip(&x).for_each(|(s, x)| s.push(*x));
@@ -71,8 +59,15 @@ impl Samples {
         }
     }
 
-    /// The shortest of the central interval of this probability, the two that begin at a bound, and the whole range.
-    pub(super) fn interval(&self, space: &SearchSpace, j: usize, level: f64) -> Interval {
+    /// The shortest of the central interval of this probability and the two that begin at a bound, widened to hold the
+    /// fit's own `value`.
+    pub(super) fn interval(
+        &self,
+        space: &SearchSpace,
+        j: usize,
+        level: f64,
+        value: f64,
+    ) -> Interval {
         let tail = 1.0 - level;
         let q = |t: f64| quantile(&self.sorted[j], t);
         let (low, high) = (space.lower()[j], space.upper()[j]);
@@ -84,12 +79,72 @@ impl Samples {
         candidates
             .into_iter()
             .min_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))
-            .unwrap_or([low, high])
+            .map_or([low, high], |[a, b]| [a.min(value), b.max(value)])
     }
 
     /// The 16 % to 84 % half width, in search coordinates.
     pub(super) fn standard_error(&self, j: usize) -> f64 {
         0.5 * (quantile(&self.sorted[j], 0.8413) - quantile(&self.sorted[j], 0.1587))
+    }
+}
+
+/// The axes, and the eigenvectors of the precision in units of the box: along these last the sampler crosses the long
+/// narrow valleys of parameters that trade off, which moves along the axes would take forever to.
+fn directions(space: &SearchSpace, precision: &Matrix) -> Vec<Vec<f64>> {
+    let p = space.len();
+    let widths: Vec<f64> = (0..p)
+        .map(|j| space.upper()[j] - space.lower()[j])
+        .collect();
+    let mut scaled = Matrix::zeros(p, p);
+    for i in 0..p {
+        for j in 0..p {
+            scaled[(i, j)] = widths[i] * precision[(i, j)] * widths[j];
+        }
+    }
+    let axis = |j: usize| {
+        (0..p)
+            .map(|i| if i == j { widths[j] } else { 0.0 })
+            .collect()
+    };
+    let valleys = eigen(&scaled)
+        .into_iter()
+        .map(|(_, v)| v.iter().zip(&widths).map(|(v, w)| v * w).collect());
+    (0..p).map(axis).chain(valleys).collect()
+}
+
+/// Draws a new point on the line through `x` along `e`: the normal density of this precision around `center`, cut by the
+/// box.
+fn move_along(
+    e: &[f64],
+    space: &SearchSpace,
+    precision: &Matrix,
+    center: &[f64],
+    x: &mut [f64],
+    random: &mut Random,
+) {
+    let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+    for (j, &e) in e.iter().enumerate().filter(|(_, e)| e.abs() > 1e-12) {
+        let (a, b) = ((space.lower()[j] - x[j]) / e, (space.upper()[j] - x[j]) / e);
+        low = low.max(a.min(b));
+        high = high.min(a.max(b));
+    }
+    if low >= high {
+        return;
+    }
+    let curvature = precision.form(e, e);
+    let t = if curvature * (high - low).powi(2) < 1e-6 {
+        // Too little information to curve the box's density noticeably.
+        low + (high - low) * random.uniform()
+    } else {
+        let away: Vec<f64> = x.iter().zip(center).map(|(x, c)| x - c).collect();
+        let (mean, sd) = (
+            -precision.form(e, &away) / curvature,
+            curvature.sqrt().recip(),
+        );
+        mean + sd * truncated_normal((low - mean) / sd, (high - mean) / sd, random)
+    };
+    for (j, x) in x.iter_mut().enumerate() {
+        *x = (*x + t * e[j]).clamp(space.lower()[j], space.upper()[j]);
     }
 }
 

@@ -352,7 +352,12 @@ fn finished(
         .iter()
         .chain(&m.variance.value)
         .all(|v| v.is_finite())
-        && m.mean.derivative.iter().flatten().all(|v| v.is_finite());
+        && m.mean
+            .derivative
+            .iter()
+            .chain(&m.variance.derivative)
+            .flatten()
+            .all(|v| v.is_finite());
     if !finite {
         return Err(Error::new(format!(
             "configuration {}: the render is not finite (mean {:?}, variance {:?}) at {}",

@@ -333,10 +333,21 @@ fn check(tile: &FiberTile) -> Result<()> {
         return Err(Error::new("the fabric has no fiber segments")
             .with_hint("an empty fabric cannot be rendered"));
     }
+    let mut copies = 0.0;
     for (i, s) in tile.segments.iter().enumerate() {
         if !(s.start.is_finite() && s.end.is_finite() && (1e-6..=10.0).contains(&s.radius)) {
             return Err(Error::new(format!("segment {i} is not usable: {s:?}"))
                 .with_hint("points must be finite and radii between 1e-6 and 10 mm"));
+        }
+        let extent = (s.end - s.start).abs() + 2.0 * s.radius;
+        let spanned = (extent.x / tile.size[0] + 2.0) * (extent.y / tile.size[1] + 2.0);
+        copies += spanned;
+        if spanned > 1e4 || copies > 1e8 {
+            return Err(Error::new(format!(
+                "segment {i} spans {spanned:.0} tiles of {} x {} mm",
+                tile.size[0], tile.size[1]
+            ))
+            .with_hint("is the tile size right, and are lengths millimeters?"));
         }
     }
     Ok(())

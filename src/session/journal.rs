@@ -136,10 +136,16 @@ impl Journal {
         })
         .context(what)?;
         line.push(b'\n');
-        self.file
+        let whole = self.file.metadata().context(what)?.len();
+        let written = self
+            .file
             .write_all(&line)
-            .and_then(|()| self.file.sync_data())
-            .context(what)?;
+            .and_then(|()| self.file.sync_data());
+        if written.is_err() {
+            // A torn line may only be the last one: take it back, so that a later line is not lost behind it.
+            let _ = self.file.set_len(whole);
+        }
+        written.context(what)?;
         self.next += 1;
         Ok(())
     }

@@ -67,9 +67,9 @@ struct PlanFile {
 /// Degrees without the last bits' noise of the conversion to radians and back.
 pub(super) fn tidy_degrees(radians: f64) -> f64 {
     let degrees = radians.to_degrees();
-    let rounded = (degrees * 1e9).round() * 1e-9;
+    let rounded = (degrees * 1e6).round() / 1e6;
     if (degrees - rounded).abs() < 1e-9 {
-        (degrees * 1e6).round() / 1e6
+        rounded
     } else {
         degrees
     }
