@@ -221,11 +221,16 @@ fn headline(result: &FitResult) -> String {
         number(o.measurement_rms_percent, 2),
     );
     if let Some(truth) = &result.truth {
+        let (rms, se) = (truth.weighted_rms_percent, truth.weighted_rms_se_percent);
+        // Near zero the unbiased estimate may even be negative: then say what is surely not exceeded.
+        let distance = if rms < 2.0 * se {
+            format!("less than {} %", number(rms + 2.0 * se, 2))
+        } else {
+            format!("{} ± {} %", number(rms, 2), number(se, 1))
+        };
         html += &format!(
             "<p class=\"lead\">Against the noise-free truth of this synthetic session they are \
-             <strong>{} ± {} %</strong> off.</p>\n",
-            number(truth.weighted_rms_percent, 2),
-            number(truth.weighted_rms_se_percent, 1)
+             <strong>{distance}</strong> off.</p>\n"
         );
     }
     let (class, word) = if result.converged {
