@@ -166,7 +166,7 @@ fn bad_input_is_named_and_nothing_is_printed() {
         ),
         (DEFAULTS, String::new(), "column 'theta_i_deg' is missing"),
         (without_gamma, good.clone(), "'gamma_tt_deg' is missing"),
-        ("{\"c_r\": ", good.clone(), "P.json cannot be used"),
+        ("{\"c_r\": ", good.clone(), "P.json: EOF"),
         (
             &DEFAULTS.replace("\"beta_r_deg\": 5", "\"beta_r_deg\": 0"),
             good.clone(),

@@ -1,6 +1,6 @@
 //! `goniofit scatter`: list the models, evaluate one, integrate its albedos.
 
-use super::{Outcome, output};
+use super::{Outcome, inputs, output};
 use crate::base::{Context, Error, Result};
 use crate::scatter::albedo::{SphereRule, directional_albedo, reverse_albedo};
 use crate::scatter::{
@@ -98,13 +98,10 @@ struct Which {
 impl Which {
     fn load(&self) -> Result<(&'static dyn Model, Parameters, Box<dyn Scattering>)> {
         let model = model(&self.model)?;
-        let shown = self.params.display();
-        let text = std::fs::read_to_string(&self.params)
-            .context(|| format!("parameter file {shown} cannot be read"))?;
-        let unusable = || format!("parameter file {shown} cannot be used");
-        let object: Value = serde_json::from_str(&text).context(unusable)?;
-        let parameters = Parameters::from_json(model, &object).context(unusable)?;
-        let scattering = model.prepare(&parameters).context(unusable)?;
+        let parameters = inputs::parameters(&self.params, model)?;
+        let scattering = model
+            .prepare(&parameters)
+            .context(|| format!("parameters {}", self.params.display()))?;
         Ok((model, parameters, scattering))
     }
 }
