@@ -25,7 +25,7 @@ struct Means {
     gradient: Vec<Running>,
 }
 
-fn sample(toy: &Toy, n: u64) -> (Means, f64, Vec<f64>) {
+fn sample(toy: &Toy, n: u64, paths: u64) -> (Means, f64, Vec<f64>) {
     let truth = Toy::truth(&INSIDE);
     let measurements = toy.measure(&truth, 0.02, 5);
     // Away from the minimum, where both terms of the gradient count.
@@ -42,7 +42,7 @@ fn sample(toy: &Toy, n: u64) -> (Means, f64, Vec<f64>) {
         gradient: vec![Running::default(); 9],
     };
     for index in 0..n {
-        let effort = Effort::Paths(4096);
+        let effort = Effort::Paths(paths);
         let pair = RenderPair::render(
             toy,
             &configurations,
@@ -96,7 +96,7 @@ fn sample(toy: &Toy, n: u64) -> (Means, f64, Vec<f64>) {
 fn paired_objective_and_gradient_are_unbiased_and_the_naive_square_is_not() {
     let toy = Toy::default();
     let n = 4000;
-    let (means, exact, gradient) = sample(&toy, n);
+    let (means, exact, gradient) = sample(&toy, n, 4096);
     // Eleven numbers are judged together at 1e-3. Sees a bias of the objective of 4 standard errors: the test prints it
     // (about 2 % of the naive objective's bias).
     let limit = limit(sidak_level(1e-3, 11));
@@ -130,16 +130,20 @@ fn paired_objective_and_gradient_are_unbiased_and_the_naive_square_is_not() {
 #[test]
 fn the_objectives_standard_error_is_the_scatter_it_has() {
     let n = 4000;
-    let (means, ..) = sample(&Toy::default(), n);
+    let (means, ..) = sample(&Toy::default(), n, 4096);
     // Rare paths make both variances noisy: a factor of 1.25 in the standard error is the smallest fault this can see.
     let ratio = (means.reported_variance.mean() / means.paired.variance()).sqrt();
     assert!(
         (0.8..1.25).contains(&ratio),
         "reported / seen standard error {ratio}, n {n}"
     );
-    // Negative control: half the renders' errors would report half the scatter or less.
-    let wrong = 0.5 * ratio;
-    assert!(!(0.8..1.25).contains(&wrong));
+    // Negative control: errors reported by renders of four times the paths are too small for this scatter.
+    let (finer, ..) = sample(&Toy::default(), n, 4 * 4096);
+    let wrong = (finer.reported_variance.mean() / means.paired.variance()).sqrt();
+    assert!(
+        !(0.8..1.25).contains(&wrong),
+        "the test cannot see errors of a finer render: {wrong}"
+    );
 }
 
 #[test]
