@@ -151,7 +151,7 @@ fn sixteen_poses_on_one_board_and_on_two_leave_a_whole_session() {
         assert_eq!(manifest.white.configuration.id, 0);
         assert_eq!(session.plan().unwrap(), plan16());
         let events = events(&out);
-        assert!(matches!(&events[0], Event::Ready { firmware } if firmware.contains("1.1")));
+        assert!(matches!(&events[0], Event::Ready { firmware, .. } if firmware.contains("1.1")));
         assert_eq!(events.last(), Some(&Event::Finished));
         assert_eq!(
             std::fs::read_to_string(out.join("rig.toml")).unwrap(),

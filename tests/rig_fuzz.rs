@@ -151,6 +151,7 @@ fn x(units: f64) -> [Target; 1] {
         letter: 'X',
         units,
         tolerance: 0.02,
+        speed: 30.0,
     }]
 }
 

@@ -37,6 +37,7 @@ fn go(grbl: &mut Grbl, units: f64) -> Result<Vec<f64>> {
         letter: 'B',
         units,
         tolerance: 0.02,
+        speed: 30.0,
     }];
     grbl.start_move(&target, 3000.0)?;
     grbl.finish_move(&target, 20.0)

@@ -162,7 +162,7 @@ fn override_ports(rig: &mut RigDescription, ports: &[String]) -> Result<()> {
 fn serial_connection() -> Connection<'static> {
     Connection {
         open: Box::new(|board| {
-            let port = SerialTransport::open(&board.port, board.baud, board.dtr)?;
+            let port = SerialTransport::open(&board.path, board.baud, board.dtr)?;
             Ok(Box::new(port) as Box<dyn Transport>)
         }),
         clock: Arc::new(SystemClock::new()),
@@ -298,11 +298,7 @@ fn print_plan(rig: &RigDescription, plan: &Plan, shots: &[PlannedShot], json: bo
             .filter(|s| (s.shot.kind, s.shot.config) == key)
             .count()
     };
-    let name = |kind: FrameKind| match kind {
-        FrameKind::White => "white",
-        FrameKind::Sample => "sample",
-        FrameKind::Dark => "dark",
-    };
+    let name = FrameKind::name;
     if json {
         let stops: Vec<serde_json::Value> = stops
             .iter()

@@ -19,8 +19,7 @@ pub(super) fn title(record: &FrameRecord) -> String {
     let place = match (record.kind, record.config) {
         (FrameKind::Sample, Some(id)) => format!("configuration {id}"),
         (FrameKind::Sample, None) => "no configuration".to_owned(),
-        (FrameKind::Dark, _) => "dark".to_owned(),
-        (FrameKind::White, _) => "white".to_owned(),
+        (kind, _) => kind.name().to_owned(),
     };
     format!("frame {} ({place}, {} ms)", record.file, record.exposure_ms)
 }

@@ -22,7 +22,8 @@ use super::wire_log::{RecordingTransport, WireLog};
 use super::{Camera, Shot};
 use crate::base::{Context, Error, Result, Watch};
 use crate::session::{
-    Event, FrameKind, FrameRecord, Journal, Manifest, Plan, SessionFolder, WhiteReference,
+    Event, FrameKind, FrameRecord, Journal, Manifest, Plan, Provenance, SessionFolder,
+    WhiteReference,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -148,6 +149,7 @@ fn manifest(
         },
         sample_square_mm: description.camera.sample_square_mm,
         exposures_ms: options.exposures_ms.clone(),
+        provenance: Provenance::default(),
     }
 }
 
@@ -171,8 +173,13 @@ impl Loop<'_, '_> {
     fn work(&mut self, shots: &[PlannedShot], prompt: &mut Prompt) -> Step {
         self.rig.home(prompt)?;
         let firmware = self.rig.firmware();
-        self.journal
-            .append(self.elapsed(), Event::Ready { firmware })?;
+        self.journal.append(
+            self.elapsed(),
+            Event::Ready {
+                firmware,
+                utc: Some(utc_now()),
+            },
+        )?;
         let mut in_place = None;
         let mut at: Option<AxisAngles> = None;
         for (i, planned) in shots.iter().enumerate() {
@@ -182,7 +189,9 @@ impl Loop<'_, '_> {
             if in_place != Some(kind) {
                 match kind {
                     FrameKind::White => self.rig.ask(prompt, "put the white standard in place")?,
-                    FrameKind::Sample => self.rig.ask(prompt, "put the sample in place")?,
+                    FrameKind::Sample | FrameKind::Reference | FrameKind::Meter => {
+                        self.rig.ask(prompt, "put the sample in place")?;
+                    }
                     FrameKind::Dark => {}
                 }
                 in_place = Some(kind);
@@ -193,7 +202,7 @@ impl Loop<'_, '_> {
             }
             match kind {
                 FrameKind::Dark => self.rig.lamp_off()?,
-                FrameKind::White | FrameKind::Sample => self.rig.lamp_on()?,
+                _ => self.rig.lamp_on()?,
             }
             self.take(&planned.shot)?;
         }
@@ -237,7 +246,11 @@ impl Loop<'_, '_> {
             kind: shot.kind,
             config: shot.config,
             exposure_ms: frame.exposure_ms,
+            requested_ms: Some(shot.exposure_ms),
             repeat: shot.repeat,
+            visit: shot.visit,
+            exposed: None,
+            utc: Some(utc_now()),
             axes_deg: read_back.by_name(),
             sha256: String::new(),
         };
@@ -257,7 +270,7 @@ impl Loop<'_, '_> {
 
     /// Makes the rig safe and tells what happened and what is kept.
     fn give_up(&mut self, error: Error, planned: usize) -> Error {
-        let done = self.rig.make_safe();
+        let done = self.rig.make_safe(false);
         let reason = error
             .report()
             .lines()
@@ -285,11 +298,9 @@ impl Loop<'_, '_> {
 }
 
 fn describe(shot: &Shot) -> String {
-    let what = match (shot.kind, shot.config) {
-        (FrameKind::Dark, _) => "dark".to_owned(),
-        (FrameKind::White, _) => "white".to_owned(),
-        (FrameKind::Sample, Some(c)) => format!("sample, configuration {c}"),
-        (FrameKind::Sample, None) => "sample".to_owned(),
+    let what = match shot.config {
+        Some(c) => format!("{}, configuration {c}", shot.kind.name()),
+        None => shot.kind.name().to_owned(),
     };
     format!("{what}, {} ms, repeat {}", shot.exposure_ms, shot.repeat)
 }

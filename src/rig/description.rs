@@ -72,6 +72,52 @@ pub struct Board {
     pub dtr: Option<bool>,
     /// How the position becomes known.
     pub homing: Homing,
+    /// What it speaks.
+    #[serde(default)]
+    pub protocol: Protocol,
+    /// Device number in its daisy chain (Zaber); of no meaning to GRBL.
+    #[serde(default = "one_address")]
+    pub address: u8,
+}
+
+/// What a motion controller speaks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Protocol {
+    /// GRBL 1.1 or grblHAL.
+    #[default]
+    Grbl,
+    /// Zaber ASCII, version 2, with checksums.
+    Zaber,
+}
+
+/// How a device's byte stream is opened.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Port {
+    /// Name in the rig file: a board's, or `lamp`.
+    pub name: String,
+    /// Device path.
+    pub path: String,
+    /// Baud rate.
+    pub baud: u32,
+    /// DTR while opening; left to the system when absent.
+    pub dtr: Option<bool>,
+}
+
+impl Board {
+    /// How it is reached.
+    pub fn connection(&self) -> Port {
+        Port {
+            name: self.name.clone(),
+            path: self.port.clone(),
+            baud: self.baud,
+            dtr: self.dtr,
+        }
+    }
+}
+
+fn one_address() -> u8 {
+    1
 }
 
 fn default_baud() -> u32 {
@@ -99,6 +145,14 @@ pub struct MotorAxis {
     pub tolerance_deg: f64,
     /// Wait after a move of this axis, milliseconds.
     pub settle_ms: f64,
+    /// Play of the gear, degrees: a move that ends against `approach` goes this far beyond and comes back. 0 = none.
+    pub backlash_deg: f64,
+    /// +1 or -1: the direction in which every move of an axis with backlash ends.
+    pub approach: f64,
+    /// The fastest this axis shall go, degrees per second.
+    pub speed_deg_per_s: f64,
+    /// Degrees per second squared, for time estimates and the bound on a move's time; the board's own is compared.
+    pub acceleration_deg_per_s2: f64,
 }
 
 impl MotorAxis {
@@ -127,22 +181,60 @@ pub enum Axis {
     },
 }
 
-/// The lamp, switched through a board's spindle output.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// What switches the lamp.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LampOutput {
+    /// The spindle output of a GRBL board.
+    Board {
+        /// Which board.
+        board: String,
+        /// Spindle speed `S` that gives the wanted brightness.
+        power_s: f64,
+    },
+    /// A current source of its own that speaks SCPI over a serial port.
+    Scpi {
+        /// How it is reached.
+        port: Port,
+        /// Output channel, from 1.
+        channel: u8,
+        /// Current, amperes.
+        current_a: f64,
+    },
+}
+
+/// The lamp.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Lamp {
-    /// Which board.
-    pub board: String,
-    /// Spindle speed `S` that gives the wanted brightness.
-    pub power_s: f64,
+    /// What switches it.
+    pub output: LampOutput,
     /// Wait after switching on, seconds.
     pub warm_up_s: f64,
+    /// Sample frames after which the reference pose is shot again, to follow the lamp's drift; 0 = never.
+    pub reference_every: u32,
+}
+
+impl Lamp {
+    /// The board whose spindle output it is, if it is one.
+    pub fn board(&self) -> Option<&str> {
+        match &self.output {
+            LampOutput::Board { board, .. } => Some(board),
+            LampOutput::Scpi { .. } => None,
+        }
+    }
+
+    /// What [`super::Light::switch_on`] is asked for.
+    pub fn power(&self) -> f64 {
+        match &self.output {
+            LampOutput::Board { power_s, .. } => *power_s,
+            LampOutput::Scpi { current_a, .. } => *current_a,
+        }
+    }
 }
 
 /// The light source as the sample sees it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Light {
+pub struct LightSource {
     /// Width and height, millimeters.
     pub size_mm: [f64; 2],
     /// From the sample center to its center, millimeters.
@@ -167,10 +259,46 @@ pub struct CameraDescription {
     pub dark_repeats: u32,
     /// Side of the measured square on the sample, millimeters.
     pub sample_square_mm: f64,
+    /// How the exposures of a configuration are chosen.
+    #[serde(default)]
+    pub metering: Metering,
+    /// Metered: how many neighboring exposures of the list each configuration gets.
+    #[serde(default = "two")]
+    pub bracket: u32,
+    /// Shots at further exposures when none of a configuration's is well exposed; needs frames that are looked at.
+    #[serde(default = "two")]
+    pub reshoots: u32,
+    /// Shortest exposure the camera can be asked for when a frame is clipped, milliseconds.
+    #[serde(default)]
+    pub min_exposure_ms: Option<f64>,
+    /// Longest exposure the camera can be asked for when a frame is too dark, milliseconds.
+    #[serde(default)]
+    pub max_exposure_ms: Option<f64>,
+    /// Visible image size, pixels, for cameras that cannot tell.
+    #[serde(default)]
+    pub size_px: Option<[usize; 2]>,
+    /// Image point (x right, y down, pixels) of the sample center, for cameras that cannot tell; else the middle.
+    #[serde(default)]
+    pub center_px: Option<[f64; 2]>,
+}
+
+/// How the exposures of a configuration are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Metering {
+    /// Every configuration gets the whole list.
+    #[default]
+    Fixed,
+    /// A metering shot first; then the longest exposures of the list that do not clip.
+    Metered,
 }
 
 fn one() -> u32 {
     1
+}
+
+fn two() -> u32 {
+    2
 }
 
 /// The white standard and the one geometry it is read at.
@@ -224,7 +352,7 @@ pub struct RigDescription {
     /// The lamp.
     pub lamp: Lamp,
     /// The light source.
-    pub light: Light,
+    pub light: LightSource,
     /// The camera.
     pub camera: CameraDescription,
     /// The white standard.

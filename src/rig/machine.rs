@@ -1,21 +1,24 @@
-//! The connected rig: all boards together, in angles.
+//! The connected rig: all boards and the lamp together, in angles.
 
 use super::board_check::check_settings;
-use super::description::{Board, Homing, RigDescription};
-use super::grbl::{Grbl, Target, stopped_at_once};
+use super::description::{Axis, AxisName, Homing, Port, RigDescription};
+use super::devices::{AxisLimits, Light, Motion, Target, Wiring};
+use super::drivers;
+use super::grbl::stopped_at_once;
 use super::kinematics::AxisAngles;
 use super::transport::{Clock, Transport};
 use crate::base::{Error, Result, Watch};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Opens the byte stream to a board.
-pub type Opener<'a> = Box<dyn FnMut(&Board) -> Result<Box<dyn Transport>> + 'a>;
+/// Opens the byte stream to a device.
+pub type Opener<'a> = Box<dyn FnMut(&Port) -> Result<Box<dyn Transport>> + 'a>;
 
-/// How a rig is reached: a byte stream per board, and time.
+/// How a rig is reached: a byte stream per device, and time.
 pub struct Connection<'a> {
-    /// Opens the stream to a board.
+    /// Opens the stream to a device.
     pub open: Opener<'a>,
-    /// The time the boards live in.
+    /// The time the devices live in.
     pub clock: Arc<dyn Clock>,
     /// Factor on settle and warm-up times: 1 for real hardware, less when the simulated time runs faster.
     pub wait_scale: f64,
@@ -45,50 +48,77 @@ pub type Step<T = ()> = Result<T, Halt>;
 /// Seconds after which a wait looks at its [`Watch`] again.
 const LOOK: f64 = 0.05;
 
-/// The longest a move may take, seconds, judged by the board's own settings.
+/// Seconds after which a long wait listens to the boards.
+const LISTEN: f64 = 1.0;
+
+/// The longest a move may take, seconds, judged by the boards' own settings.
 const LONGEST_MOVE: f64 = 1800.0;
 
 /// A connected rig. Motion goes on when its [`Watch`] is cancelled, and stops when it is urgent; every other wait ends
 /// on both.
 pub struct Rig<'a> {
     description: RigDescription,
-    boards: Vec<Grbl<'a>>,
+    boards: Vec<Box<dyn Motion + 'a>>,
+    /// A lamp with its own driver; none when a board's output is the lamp.
+    light: Option<Box<dyn Light + 'a>>,
+    limits: BTreeMap<AxisName, AxisLimits>,
     watch: &'a dyn Watch,
     clock: Arc<dyn Clock>,
     wait_scale: f64,
+    /// Where the axes were last verified to stand, and every board's position has been trusted since.
     at: Option<AxisAngles>,
     lamp_on: bool,
 }
 
 impl<'a> Rig<'a> {
-    /// Opens and greets every board and compares its settings with the description. Moves nothing.
+    /// Opens and greets every device and compares the boards' settings with the description. Moves nothing; the lamp is
+    /// left off.
     ///
     /// # Errors
-    /// A board cannot be reached, its settings contradict the description, or `watch` asks to stop.
+    /// A device cannot be reached, a board's settings contradict the description, or `watch` asks to stop.
     pub fn connect(
         description: &RigDescription,
         connection: &mut Connection,
         watch: &'a dyn Watch,
     ) -> Result<Self> {
+        let clock = connection.clock.clone();
+        let mut wiring = |port: &Port| -> Result<Wiring<'a>> {
+            Ok(Wiring {
+                name: port.name.clone(),
+                transport: (connection.open)(port)?,
+                clock: clock.clone(),
+                watch,
+            })
+        };
         let mut boards = Vec::new();
+        let mut limits = BTreeMap::new();
         for board in &description.boards {
-            let transport = (connection.open)(board)?;
-            let grbl = Grbl::connect(&board.name, transport, connection.clock.clone(), watch)?;
-            check_settings(description, board, &grbl)?;
-            boards.push(grbl);
+            let mut motion = drivers::motion(board, wiring(&board.connection())?)?;
+            check_settings(description, board, motion.as_mut())?;
+            for (name, motor) in description.motors_of(&board.name) {
+                limits.insert(name, motion.axis_limits(motor.letter)?);
+            }
+            boards.push(motion);
         }
-        Ok(Self {
+        let light = drivers::light(&description.lamp.output, wiring)?;
+        let mut rig = Self {
             description: description.clone(),
             boards,
+            light,
+            limits,
             watch,
             clock: connection.clock.clone(),
             wait_scale: connection.wait_scale,
             at: None,
             lamp_on: false,
-        })
+        };
+        if let Some(light) = &mut rig.light {
+            light.check(description.lamp.power())?;
+        }
+        Ok(rig)
     }
 
-    /// Firmware of all boards, for the record.
+    /// Firmware of all boards in one line, for the record.
     pub fn firmware(&self) -> String {
         let all: Vec<String> = self
             .boards
@@ -96,6 +126,53 @@ impl<'a> Rig<'a> {
             .map(|b| format!("{}: {}", b.name(), b.firmware()))
             .collect();
         all.join("; ")
+    }
+
+    /// All that every device said of itself, by name.
+    pub fn dump(&self) -> BTreeMap<String, Vec<String>> {
+        let boards = self.boards.iter().map(|b| (b.name().to_owned(), b.dump()));
+        let light = self
+            .light
+            .iter()
+            .map(|l| ("lamp".to_owned(), vec![l.identity()]));
+        boards.chain(light).collect()
+    }
+
+    /// Every board's name, state in its own words, whether its position is known, and the positions of its axes in
+    /// degrees.
+    ///
+    /// # Errors
+    /// A board does not answer.
+    pub fn states(&mut self) -> Result<Vec<BoardState>> {
+        let description = &self.description;
+        self.boards
+            .iter_mut()
+            .map(|board| {
+                let motors: Vec<_> = description
+                    .motors_of(board.name())
+                    .map(|(n, m)| (n, m.clone()))
+                    .collect();
+                let letters: Vec<char> = motors.iter().map(|(_, m)| m.letter).collect();
+                let state = board.state()?;
+                let units = board.positions(&letters)?;
+                Ok(BoardState {
+                    board: board.name().to_owned(),
+                    firmware: board.firmware(),
+                    state,
+                    homed: board.is_homed(),
+                    axes_deg: motors
+                        .iter()
+                        .zip(&units)
+                        .map(|((name, m), u)| (*name, m.angle_deg(*u)))
+                        .collect(),
+                })
+            })
+            .collect()
+    }
+
+    /// True while every board's position is known.
+    pub fn is_homed(&self) -> bool {
+        self.boards.iter().all(|b| b.is_homed())
     }
 
     /// Passes unless the operator asked to end.
@@ -112,8 +189,24 @@ impl<'a> Rig<'a> {
         Ok(())
     }
 
-    /// Lets time pass.
-    fn wait(&self, seconds: f64) -> Step {
+    /// Lets time pass; in a long wait every board is asked each second whether it still stands where it was sent.
+    ///
+    /// # Errors
+    /// The operator asked to end, or a board is not as it was.
+    pub fn wait(&mut self, seconds: f64) -> Step {
+        let mut rest = seconds;
+        while rest > 0.0 {
+            let piece = rest.min(LISTEN);
+            rest -= piece;
+            self.pause(piece)?;
+            if rest > 0.0 && self.at.is_some() {
+                self.verify()?;
+            }
+        }
+        self.obey()
+    }
+
+    fn pause(&self, seconds: f64) -> Step {
         let end = self.clock.now() + seconds * self.wait_scale;
         loop {
             self.obey()?;
@@ -136,11 +229,13 @@ impl<'a> Rig<'a> {
         Ok(answer?)
     }
 
-    /// Makes the position of every board known: `$H`, or the operator's word.
+    /// Makes the position of every board known: its reference switches, or the operator's word. Boards are homed one
+    /// after the other, in the order of the rig file.
     ///
     /// # Errors
     /// Homing fails, or the operator declines or asks to end.
     pub fn home(&mut self, prompt: &mut Prompt) -> Step {
+        self.at = None;
         for i in 0..self.boards.len() {
             let board = &self.description.boards[i];
             match board.homing {
@@ -164,109 +259,131 @@ impl<'a> Rig<'a> {
     fn targets(&self, board: &str, angles: &AxisAngles) -> Vec<Target> {
         self.description
             .motors_of(board)
-            .map(|(name, m)| Target {
-                letter: m.letter,
-                units: m.units(angles.get(name)),
-                tolerance: m.tolerance_deg / m.degrees_per_unit,
+            .map(|(name, m)| {
+                let own = self
+                    .limits
+                    .get(&name)
+                    .map_or(f64::INFINITY, |l| l.max_speed);
+                Target {
+                    letter: m.letter,
+                    units: m.units(angles.get(name)),
+                    tolerance: m.tolerance_deg / m.degrees_per_unit,
+                    speed: (m.speed_deg_per_s / m.degrees_per_unit).min(own),
+                }
             })
             .collect()
     }
 
-    /// Moves all axes to `angles`, verifies every board's position, lets the axes settle; returns the angles read back
-    /// (fixed axes: their angle).
+    /// Where all axes stand by the boards' own word (fixed axes: their angle).
     ///
     /// # Errors
-    /// An angle is outside its limits (nothing is sent then), or a board fails; call [`Rig::make_safe`]. The operator
-    /// asked to end before the move or while it settled.
+    /// A board does not answer.
+    pub fn angles(&mut self) -> Result<AxisAngles> {
+        let mut angles = AxisAngles([0.0; 5]);
+        for name in AxisName::ALL {
+            if let Axis::Fixed { angle_deg, .. } = self.description.axis(name) {
+                angles.0[name as usize] = *angle_deg;
+            }
+        }
+        for state in self.states()? {
+            for (name, angle) in state.axes_deg {
+                angles.0[name as usize] = angle;
+            }
+        }
+        Ok(angles)
+    }
+
+    /// Moves all axes to `angles` on a way that was checked whole before its first byte is sent, verifies every board's
+    /// position, lets the axes settle; returns the angles read back (fixed axes: their angle).
+    ///
+    /// # Errors
+    /// An angle is outside its limits or there is no free way (nothing is sent then), or a board fails; call
+    /// [`Rig::make_safe`]. The operator asked to end before a leg of the way or while it settled.
     pub fn move_to(&mut self, angles: &AxisAngles) -> Step<AxisAngles> {
         self.description.check_angles(angles)?;
         self.obey()?;
-        let mut timeouts = Vec::new();
-        for i in 0..self.boards.len() {
-            let targets = self.targets(self.boards[i].name(), angles);
-            if targets.is_empty() {
-                timeouts.push(None);
-                continue;
+        let from = match self.at {
+            Some(at) => at,
+            None => self.angles()?,
+        };
+        let legs = self.description.path(&from, angles)?;
+        let mut moved = [false; 5];
+        let mut last = from;
+        for leg in &legs {
+            self.obey()?;
+            self.go(&last, &leg.to)?;
+            for name in AxisName::ALL {
+                moved[name as usize] |= (last.get(name) - leg.to.get(name)).abs() > 1e-9;
             }
-            let (feed, seconds) = self.feed_and_time(i, &targets)?;
-            self.boards[i].start_move(&targets, feed)?;
-            timeouts.push(Some(3.0 * seconds + 15.0));
+            last = leg.to;
         }
-        for (i, timeout) in timeouts.iter().enumerate() {
-            if let Some(timeout) = timeout {
-                let targets = self.targets(self.boards[i].name(), angles);
-                self.boards[i].finish_move(&targets, *timeout)?;
-            }
-        }
-        let settle_ms = self.settle_ms(angles);
-        self.at = Some(*angles);
-        self.wait(settle_ms / 1000.0)?;
+        self.wait(self.settle_ms(&moved) / 1000.0)?;
         Ok(self.verify()?)
     }
 
+    /// One leg: all boards start, then all are waited for.
+    fn go(&mut self, from: &AxisAngles, to: &AxisAngles) -> Result<()> {
+        self.description.check_angles(to)?;
+        // Until the end is verified nobody knows where the axes stand.
+        self.at = None;
+        let seconds = self.longest_seconds(from, to)?;
+        let timeout = 3.0 * seconds + 15.0;
+        let mut started = Vec::new();
+        for i in 0..self.boards.len() {
+            let targets = self.targets(self.boards[i].name(), to);
+            if !targets.is_empty() {
+                self.boards[i].start_move(&targets)?;
+                started.push((i, targets));
+            }
+        }
+        for (i, targets) in started {
+            self.boards[i].finish_move(&targets, timeout)?;
+        }
+        self.at = Some(*to);
+        Ok(())
+    }
+
     /// The longest settle time of the axes that moved.
-    fn settle_ms(&self, angles: &AxisAngles) -> f64 {
+    fn settle_ms(&self, moved: &[bool; 5]) -> f64 {
         let mut longest = 0.0_f64;
-        for board in &self.description.boards {
-            for (name, motor) in self.description.motors_of(&board.name) {
-                let moved = self
-                    .at
-                    .is_none_or(|at| (at.get(name) - angles.get(name)).abs() > 1e-9);
-                if moved {
-                    longest = longest.max(motor.settle_ms);
-                }
+        for name in AxisName::ALL {
+            if let Axis::Motor(motor) = self.description.axis(name)
+                && moved[name as usize]
+            {
+                longest = longest.max(motor.settle_ms);
             }
         }
         longest
     }
 
-    /// Feed for one board's move, units per minute along its path, and an upper bound of its time in seconds.
-    fn feed_and_time(&mut self, i: usize, targets: &[Target]) -> Result<(f64, f64)> {
-        let position = self.boards[i].position()?;
-        let name = self.boards[i].name().to_owned();
-        let settings = self.boards[i].settings();
-        let mut seconds = 0.0_f64;
-        let mut squared = 0.0;
+    /// An upper bound of a leg's time in seconds, by the boards' own speeds and accelerations.
+    fn longest_seconds(&self, from: &AxisAngles, to: &AxisAngles) -> Result<f64> {
         let mut slowest = 0.0_f64;
-        for ((_, motor), target) in self.description.motors_of(&name).zip(targets) {
-            let axis = "XYZABC".find(target.letter).unwrap_or(0);
-            let from = position.get(axis).copied().ok_or_else(|| {
-                Error::new(format!("board '{name}' has no axis {}", target.letter))
-                    .with_hint("correct the axis letters in the rig file")
-            })?;
-            let units = (target.units - from).abs();
-            squared += units * units;
-            let wanted = self.description.feed_deg_per_min / motor.degrees_per_unit / 60.0;
-            seconds = seconds.max(units / wanted);
-            let setting = |base: u16, unit: f64| {
-                let value = settings.get(&(base + axis as u16)).copied();
-                value
-                    .filter(|v| *v > 0.0)
-                    .map_or(f64::INFINITY, |v| v / unit)
+        for (name, limits) in &self.limits {
+            let Axis::Motor(motor) = self.description.axis(*name) else {
+                continue;
             };
-            let speed = wanted.min(setting(110, 60.0));
-            slowest = slowest.max(units / speed + 2.0 * speed / setting(120, 1.0));
+            let way = (from.get(*name) - to.get(*name)).abs() / motor.degrees_per_unit;
+            let speed = limits
+                .max_speed
+                .min(motor.speed_deg_per_s / motor.degrees_per_unit);
+            slowest = slowest.max(way / speed + 2.0 * speed / limits.acceleration);
         }
-        let feed = if seconds > 0.0 {
-            (60.0 * squared.sqrt() / seconds).max(1.0)
-        } else {
-            self.description.feed_deg_per_min
-        };
         if !(0.0..=LONGEST_MOVE).contains(&slowest) {
             return Err(Error::new(format!(
-                "board '{name}': a move would take {slowest:.0} s, expected at most {LONGEST_MOVE}"
+                "a move would take {slowest:.0} s, expected at most {LONGEST_MOVE}"
             ))
             .with_hint(
-                "compare $110.. and $120.. of the board and feed_deg_per_min of the rig file",
+                "compare the boards' speeds and accelerations ($110.. and $120..) with the speeds of the rig file",
             ));
         }
-        Ok((feed, slowest))
+        Ok(slowest)
     }
 
-    /// Checks that every board stands idle where it was last sent; returns the angles read back.
+    /// Checks that every board is at rest where it was last sent; returns the angles read back.
     ///
     /// # Errors
-    /// It does not, or nothing was moved yet.
+    /// It is not, or nothing was moved yet.
     pub fn verify(&mut self) -> Result<AxisAngles> {
         let at = self
             .at
@@ -283,40 +400,42 @@ impl<'a> Rig<'a> {
         Ok(read_back)
     }
 
-    fn lamp_board(&mut self) -> Result<&mut Grbl<'a>> {
-        let name = &self.description.lamp.board;
+    fn lamp(&mut self) -> Result<&mut dyn Light> {
+        if let Some(light) = &mut self.light {
+            return Ok(light.as_mut());
+        }
+        let name = self.description.lamp.board();
         self.boards
             .iter_mut()
-            .find(|b| b.name() == name)
-            .ok_or_else(|| Error::new(format!("lamp: unknown board '{name}'")))
+            .find(|b| Some(b.name()) == name)
+            .and_then(|b| b.lamp())
+            .ok_or_else(|| Error::new("the rig has no lamp output"))
     }
 
     /// Switches the lamp on and waits for its warm-up, unless it is on.
     ///
     /// # Errors
-    /// The board fails, or the operator asked to end while the lamp warmed up; it is on then.
+    /// The device fails, or the operator asked to end while the lamp warmed up; it is on then.
     pub fn lamp_on(&mut self) -> Step {
         if self.lamp_on {
             return Ok(());
         }
-        let (power, warm_up) = (
-            self.description.lamp.power_s,
-            self.description.lamp.warm_up_s,
-        );
-        self.lamp_board()?.lamp_on(power)?;
+        let power = self.description.lamp.power();
+        // From here on it may be on, whatever the device answers.
         self.lamp_on = true;
-        self.wait(warm_up)
+        self.lamp()?.switch_on(power)?;
+        self.wait(self.description.lamp.warm_up_s)
     }
 
     /// Switches the lamp off, unless it is off.
     ///
     /// # Errors
-    /// The board fails.
+    /// The device fails.
     pub fn lamp_off(&mut self) -> Result<()> {
         if !self.lamp_on {
             return Ok(());
         }
-        self.lamp_board()?.lamp_off()?;
+        self.lamp()?.switch_off()?;
         self.lamp_on = false;
         Ok(())
     }
@@ -326,12 +445,13 @@ impl<'a> Rig<'a> {
     /// # Errors
     /// As [`Rig::move_to`].
     pub fn park(&mut self) -> Step {
-        let Some(mut angles) = self.at else {
-            return Ok(());
-        };
         if self.description.park_deg.is_empty() {
             return Ok(());
         }
+        let mut angles = match self.at {
+            Some(at) => at,
+            None => self.angles()?,
+        };
         for (name, angle) in &self.description.park_deg {
             angles.0[*name as usize] = *angle;
         }
@@ -342,23 +462,51 @@ impl<'a> Rig<'a> {
         }
     }
 
-    /// Stops everything and switches the lamp off; one line per board says what happened. Every board that may be moving,
-    /// and after [`Watch::urgent`] every board, gets its hold before any is waited for.
-    pub fn make_safe(&mut self) -> Vec<String> {
-        self.lamp_on = false;
-        let urgent = self.watch.urgent();
+    /// Stops everything and switches the lamp off; one line per device says what happened. Every board that may be
+    /// moving, and after [`Watch::urgent`] every board, begins to brake before any is waited for. With `at_once` motion
+    /// ends the fastest way there is, whatever becomes of the position.
+    pub fn make_safe(&mut self, at_once: bool) -> Vec<String> {
+        let urgent = self.watch.urgent() || at_once;
         for board in &mut self.boards {
             if urgent || board.may_be_moving() {
-                board.hold();
+                board.brake();
             }
         }
-        // A homing board does not obey the hold: its reset comes first.
+        let mut done = Vec::new();
+        if let Some(light) = &mut self.light
+            && self.lamp_on
+        {
+            done.push(match light.switch_off() {
+                Ok(()) => "lamp off".to_owned(),
+                Err(e) => format!("the lamp may still be on: {}", e.report()),
+            });
+        }
+        self.lamp_on = false;
+        self.at = None;
+        // A homing board does not obey the brake: its reset comes first.
         let (homing, others): (Vec<_>, Vec<_>) =
             self.boards.iter_mut().partition(|b| b.may_be_homing());
-        homing
-            .into_iter()
-            .chain(others)
-            .map(|b| b.make_safe().unwrap_or_else(|e| e.report()))
-            .collect()
+        done.extend(
+            homing
+                .into_iter()
+                .chain(others)
+                .map(|b| b.make_safe(at_once).unwrap_or_else(|e| e.report())),
+        );
+        done
     }
+}
+
+/// What a board says of itself.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BoardState {
+    /// Its name in the rig file.
+    pub board: String,
+    /// Firmware in one line.
+    pub firmware: String,
+    /// State in its own words.
+    pub state: String,
+    /// Its position is known.
+    pub homed: bool,
+    /// Positions of its axes, degrees.
+    pub axes_deg: Vec<(AxisName, f64)>,
 }

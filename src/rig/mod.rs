@@ -10,10 +10,14 @@
 mod board_check;
 pub mod capture;
 mod description;
+mod devices;
+mod drivers;
 mod grbl;
 mod kinematics;
 mod machine;
 mod model;
+mod operator;
+mod path;
 mod replay;
 mod replay_camera;
 mod rig_file;
@@ -28,12 +32,18 @@ mod uvc;
 mod wire_log;
 
 pub use description::{
-    Axis, AxisName, Board, CameraDescription, Homing, Lamp, Light, MotorAxis, RigDescription, White,
+    Axis, AxisName, Board, CameraDescription, Homing, Lamp, LampOutput, LightSource, Metering,
+    MotorAxis, Port, Protocol, RigDescription, White,
 };
-pub use grbl::{Grbl, Status, StopReport, Target};
+pub use devices::{
+    AxisLimits, Camera, CapturedFrame, Judge, Light, Motion, Shot, Target, Travel, Wiring,
+};
+pub use grbl::{Grbl, Status, StopReport};
 pub use kinematics::AxisAngles;
-pub use machine::{Connection, Halt, Opener, Prompt, Rig, Step};
+pub use machine::{BoardState, Connection, Halt, Opener, Prompt, Rig, Step};
 pub use model::{Fault, FaultKind, Flavor, GrblModel, ModelOptions};
+pub use operator::{Absent, Operator, Request, Seen, Taken};
+pub use path::Leg;
 pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;
 pub use serial::SerialTransport;
@@ -48,44 +58,3 @@ pub use wire_log::{
 pub mod virtual_camera;
 
 pub use virtual_camera::{Appearance, SensorModel, VirtualCamera, white_radiance};
-
-use crate::base::Result;
-use crate::session::{CameraFacts, Configuration, FrameKind};
-
-/// One shot the capture loop asks a camera for.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Shot {
-    /// What is in front of the camera.
-    pub kind: FrameKind,
-    /// The plan's configuration for a sample shot; none for darks and whites.
-    pub config: Option<u32>,
-    /// Where light, camera and turntable stand.
-    pub pose: Configuration,
-    /// Requested exposure time, milliseconds.
-    pub exposure_ms: f64,
-    /// 0 for the first shot of this kind, configuration and exposure.
-    pub repeat: u32,
-}
-
-/// What a camera hands back: a file, exactly as it would lie on its card.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CapturedFrame {
-    /// The file's bytes.
-    pub bytes: Vec<u8>,
-    /// Its extension, e.g. `dng`.
-    pub extension: String,
-    /// Exposure time the camera reports, milliseconds.
-    pub exposure_ms: f64,
-}
-
-/// A camera.
-pub trait Camera {
-    /// What must be known to read its frames.
-    fn facts(&self) -> CameraFacts;
-
-    /// Takes one shot.
-    ///
-    /// # Errors
-    /// When the camera is gone, refuses the exposure, or returns no whole frame.
-    fn expose(&mut self, shot: &Shot) -> Result<CapturedFrame>;
-}

@@ -1,7 +1,8 @@
 //! The rig file: from TOML to a checked [`RigDescription`].
 
 use super::description::{
-    Axis, AxisName, Board, CameraDescription, Lamp, Light, MotorAxis, RigDescription, White,
+    Axis, AxisName, Board, CameraDescription, Lamp, LampOutput, LightSource, MotorAxis, Port,
+    Protocol, RigDescription, White,
 };
 use crate::base::{Context, Error, Result};
 use serde::Deserialize;
@@ -19,7 +20,25 @@ struct AxisFile {
     max_deg: Option<f64>,
     tolerance_deg: Option<f64>,
     settle_ms: Option<f64>,
+    backlash_deg: Option<f64>,
+    approach: Option<f64>,
+    speed_deg_per_s: Option<f64>,
+    acceleration_deg_per_s2: Option<f64>,
     fixed_deg: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LampFile {
+    board: Option<String>,
+    power_s: Option<f64>,
+    scpi_port: Option<String>,
+    baud: Option<u32>,
+    channel: Option<u8>,
+    current_a: Option<f64>,
+    warm_up_s: f64,
+    #[serde(default)]
+    reference_every: u32,
 }
 
 #[derive(Deserialize)]
@@ -33,8 +52,8 @@ struct RigFile {
     axes: BTreeMap<String, AxisFile>,
     #[serde(default)]
     park: BTreeMap<String, f64>,
-    lamp: Lamp,
-    light: Light,
+    lamp: LampFile,
+    light: LightSource,
     camera: CameraDescription,
     white: White,
 }
@@ -47,6 +66,7 @@ impl RigDescription {
     /// the wrong order and NaN included), or the white geometry or the parking place is out of reach.
     pub fn from_toml(text: &str) -> Result<Self> {
         let file: RigFile = toml::from_str(text).context(|| "not a rig file")?;
+        in_range("feed_deg_per_min", file.feed_deg_per_min, 1.0, 1e5)?;
         let names: Vec<&str> = AxisName::ALL.iter().map(|a| a.name()).collect();
         let known = |key: &str| {
             AxisName::ALL
@@ -60,7 +80,11 @@ impl RigDescription {
         let mut axes = BTreeMap::new();
         for (key, axis) in file.axes {
             let name = known(&key)?;
-            axes.insert(name, axis.checked().context(|| format!("axis {key}"))?);
+            axes.insert(
+                name,
+                axis.checked(file.feed_deg_per_min)
+                    .context(|| format!("axis {key}"))?,
+            );
         }
         let mut park_deg = BTreeMap::new();
         for (key, angle) in file.park {
@@ -83,7 +107,7 @@ impl RigDescription {
             boards: file.boards,
             axes,
             park_deg,
-            lamp: file.lamp,
+            lamp: file.lamp.checked().context(|| "lamp")?,
             light: file.light,
             camera: file.camera,
             white: file.white,
@@ -122,12 +146,17 @@ impl RigDescription {
                 used.push((&m.board, m.letter));
             }
         }
-        board_known(&self.lamp.board, "lamp")?;
+        if let Some(board) = self.lamp.board() {
+            board_known(board, "lamp")?;
+        }
         for board in &self.boards {
-            if board.name != self.lamp.board && self.motors_of(&board.name).next().is_none() {
+            if self.lamp.board() != Some(&board.name)
+                && self.motors_of(&board.name).next().is_none()
+            {
                 return Err(Error::new(format!("board '{}' is not used", board.name)));
             }
         }
+        self.check_protocols()?;
         self.check_numbers()?;
         self.check_park()?;
         self.angles(&self.white.configuration(0))
@@ -135,10 +164,37 @@ impl RigDescription {
         Ok(())
     }
 
+    /// Axis letters are X Y Z A B C on a GRBL board and numbers on a Zaber controller, which has no lamp output.
+    fn check_protocols(&self) -> Result<()> {
+        for board in &self.boards {
+            let letters = match board.protocol {
+                Protocol::Grbl => "XYZABC",
+                Protocol::Zaber => "123456789",
+            };
+            for (name, motor) in self.motors_of(&board.name) {
+                if !letters.contains(motor.letter) {
+                    return Err(Error::new(format!(
+                        "axis {}: letter '{}' is not one of {letters}",
+                        name.name(),
+                        motor.letter
+                    ))
+                    .with_hint("GRBL axes have letters, Zaber axes numbers"));
+                }
+            }
+            if board.protocol == Protocol::Zaber && self.lamp.board() == Some(&board.name) {
+                return Err(Error::new(format!(
+                    "lamp: board '{}' speaks Zaber and has no lamp output",
+                    board.name
+                ))
+                .with_hint("name a GRBL board, or a current source with scpi_port"));
+            }
+        }
+        Ok(())
+    }
+
     fn check_numbers(&self) -> Result<()> {
         let c = &self.camera;
-        in_range("feed_deg_per_min", self.feed_deg_per_min, 1.0, 1e5)?;
-        in_range("lamp.power_s", self.lamp.power_s, 1e-3, 1e6)?;
+        in_range("the lamp's power", self.lamp.power(), 1e-3, 1e6)?;
         in_range("lamp.warm_up_s", self.lamp.warm_up_s, 0.0, 7200.0)?;
         in_range("light.distance_mm", self.light.distance_mm, 1.0, 1e5)?;
         for side in self.light.size_mm {
@@ -146,6 +202,23 @@ impl RigDescription {
         }
         in_range("camera.pixel_mm", c.pixel_mm, 1e-6, 100.0)?;
         in_range("camera.sample_square_mm", c.sample_square_mm, 1e-3, 1e4)?;
+        in_range("camera.bracket", f64::from(c.bracket), 1.0, 100.0)?;
+        in_range("camera.reshoots", f64::from(c.reshoots), 0.0, 20.0)?;
+        let listed = [c.exposures_ms.first(), c.exposures_ms.last()];
+        if let [Some(&first), Some(&last)] = listed {
+            if let Some(shortest) = c.min_exposure_ms {
+                in_range("camera.min_exposure_ms", shortest, 1e-3, first)?;
+            }
+            if let Some(longest) = c.max_exposure_ms {
+                in_range("camera.max_exposure_ms", longest, last, 3.6e6)?;
+            }
+        }
+        for side in c.size_px.iter().flatten() {
+            in_range("camera.size_px", *side as f64, 2.0, 1e5)?;
+        }
+        for place in c.center_px.iter().flatten() {
+            in_range("camera.center_px", *place, -1e5, 1e5)?;
+        }
         in_range("camera.repeats", f64::from(c.repeats), 1.0, 1000.0)?;
         in_range(
             "camera.dark_repeats",
@@ -202,8 +275,44 @@ fn in_range(name: &str, value: f64, low: f64, high: f64) -> Result<()> {
     )))
 }
 
+impl LampFile {
+    fn checked(self) -> Result<Lamp> {
+        let output =
+            match (self.board, self.scpi_port) {
+                (Some(board), None) => LampOutput::Board {
+                    board,
+                    power_s: self
+                        .power_s
+                        .ok_or_else(|| Error::new("power_s is missing"))?,
+                },
+                (None, Some(path)) => LampOutput::Scpi {
+                    port: Port {
+                        name: "lamp".to_owned(),
+                        path,
+                        baud: self.baud.unwrap_or(115_200),
+                        dtr: None,
+                    },
+                    channel: self.channel.unwrap_or(1),
+                    current_a: self
+                        .current_a
+                        .ok_or_else(|| Error::new("current_a is missing"))?,
+                },
+                _ => {
+                    return Err(Error::new("exactly one of board and scpi_port is needed").with_hint(
+                    "board = \"NAME\" with power_s, or scpi_port = \"/dev/...\" with current_a",
+                ));
+                }
+            };
+        Ok(Lamp {
+            output,
+            warm_up_s: self.warm_up_s,
+            reference_every: self.reference_every,
+        })
+    }
+}
+
 impl AxisFile {
-    fn checked(self) -> Result<Axis> {
+    fn checked(self, feed_deg_per_min: f64) -> Result<Axis> {
         let tolerance_deg = self.tolerance_deg.unwrap_or(0.05);
         in_range("tolerance_deg", tolerance_deg, 1e-4, 5.0)?;
         if let Some(angle_deg) = self.fixed_deg {
@@ -235,23 +344,28 @@ impl AxisFile {
             max_deg: self.max_deg.ok_or_else(|| missing("max_deg"))?,
             tolerance_deg,
             settle_ms: self.settle_ms.unwrap_or(0.0),
+            backlash_deg: self.backlash_deg.unwrap_or(0.0),
+            approach: self.approach.unwrap_or(1.0),
+            speed_deg_per_s: self.speed_deg_per_s.unwrap_or(feed_deg_per_min / 60.0),
+            acceleration_deg_per_s2: self.acceleration_deg_per_s2.unwrap_or(500.0),
         };
-        if !"XYZABC".contains(axis.letter) {
-            return Err(Error::new(format!(
-                "letter '{}' is not one of X Y Z A B C",
-                axis.letter
-            )));
-        }
+        in_range("backlash_deg", axis.backlash_deg, 0.0, 10.0)?;
+        in_range("speed_deg_per_s", axis.speed_deg_per_s, 1e-3, 1e4)?;
+        in_range(
+            "acceleration_deg_per_s2",
+            axis.acceleration_deg_per_s2,
+            1e-3,
+            1e6,
+        )?;
         in_range("degrees_per_unit", axis.degrees_per_unit, 1e-6, 1e4)?;
         in_range("offset_deg", axis.offset_deg, -1e4, 1e4)?;
         in_range("min_deg", axis.min_deg, -1e4, 1e4)?;
         in_range("max_deg", axis.max_deg, -1e4, 1e4)?;
         in_range("settle_ms", axis.settle_ms, 0.0, 60_000.0)?;
-        if (axis.sign.abs() - 1.0).abs() > 0.0 || axis.sign.is_nan() {
-            return Err(Error::new(format!(
-                "sign is {}, expected 1 or -1",
-                axis.sign
-            )));
+        for (key, value) in [("sign", axis.sign), ("approach", axis.approach)] {
+            if (value.abs() - 1.0).abs() > 0.0 || value.is_nan() {
+                return Err(Error::new(format!("{key} is {value}, expected 1 or -1")));
+            }
         }
         if axis.min_deg >= axis.max_deg {
             return Err(Error::new(format!(

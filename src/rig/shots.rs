@@ -68,6 +68,7 @@ pub fn planned_shots(
                     pose,
                     exposure_ms,
                     repeat,
+                    visit: 0,
                 },
                 angles,
             });

@@ -110,7 +110,7 @@ pub fn capture_over_pty(
         open: Box::new(|board| {
             let path = simulators
                 .get(&board.name)
-                .map_or(board.port.as_str(), PtySimulator::path);
+                .map_or(board.path.as_str(), PtySimulator::path);
             Ok(Box::new(SerialTransport::open(path, board.baud, board.dtr)?) as Box<dyn Transport>)
         }),
         clock: Arc::new(SystemClock::new()),

@@ -201,8 +201,8 @@ impl VirtualCamera {
     ) -> Result<NoiseFreeImage> {
         let projection = Projection::new(&self.sensor.facts(), pose);
         let factor = match kind {
-            FrameKind::Sample => self.factors.get(&pose.id).copied().unwrap_or([1.0; 3]),
             FrameKind::White | FrameKind::Dark => [1.0; 3],
+            _ => self.factors.get(&pose.id).copied().unwrap_or([1.0; 3]),
         };
         let width = self.sensor.width;
         let mut pixels = vec![[0.0; 3]; width * self.sensor.height];
@@ -375,7 +375,7 @@ impl Camera for VirtualCamera {
         }
         let picture = match shot.kind {
             FrameKind::Dark => None,
-            FrameKind::Sample | FrameKind::White => self.last.as_ref().map(|l| &l.2),
+            _ => self.last.as_ref().map(|l| &l.2),
         };
         let bytes = write_dng(&DngImage {
             width: self.sensor.width,
@@ -515,6 +515,7 @@ mod tests {
             pose: pose(3, 20.0),
             exposure_ms,
             repeat,
+            visit: 0,
         }
     }
 

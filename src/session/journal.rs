@@ -18,6 +18,32 @@ pub enum FrameKind {
     Dark,
     /// The white standard at the session's reference geometry, light on.
     White,
+    /// The sample at the white's reference geometry, light on: how bright the lamp is now.
+    Reference,
+    /// A look at the sample to choose the exposures of its configuration; never measured.
+    Meter,
+}
+
+impl FrameKind {
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sample => "sample",
+            Self::Dark => "dark",
+            Self::White => "white",
+            Self::Reference => "reference",
+            Self::Meter => "meter",
+        }
+    }
+}
+
+/// How well a frame is exposed over its crop, per channel r, g, b; 0 = black level, 1 = white level.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Exposedness {
+    /// Brightest pixel.
+    pub peak: [f64; 3],
+    /// Mean.
+    pub mean: [f64; 3],
 }
 
 /// One finished shot.
@@ -32,9 +58,21 @@ pub struct FrameRecord {
     pub config: Option<u32>,
     /// Exposure time read back from the camera, milliseconds.
     pub exposure_ms: f64,
-    /// 0 for the first shot of this kind, configuration and exposure, 1 for its first repeat, ...
+    /// Exposure time asked for, milliseconds; the camera may round it. Absent in old sessions: as read back.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub requested_ms: Option<f64>,
+    /// 0 for the first shot of this kind, configuration, visit and exposure, 1 for its first repeat, ...
     #[serde(default)]
     pub repeat: u32,
+    /// Which visit of the reference pose (0, 1, ...); 0 for every other kind.
+    #[serde(skip_serializing_if = "is_zero", default)]
+    pub visit: u32,
+    /// How well it is exposed, when somebody looked.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub exposed: Option<Exposedness>,
+    /// UTC time of the shot, RFC 3339.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub utc: Option<String>,
     /// Axis positions read back at the shot, degrees, by axis name.
     #[serde(default)]
     pub axes_deg: std::collections::BTreeMap<String, f64>,
@@ -42,14 +80,29 @@ pub struct FrameRecord {
     pub sha256: String,
 }
 
+fn is_zero(n: &u32) -> bool {
+    *n == 0
+}
+
+impl FrameRecord {
+    /// The exposure time that was asked for, milliseconds.
+    pub fn asked_ms(&self) -> f64 {
+        self.requested_ms.unwrap_or(self.exposure_ms)
+    }
+}
+
 /// Something that happened in a capture session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
-    /// The rig is connected, checked and homed.
+    /// The rig is connected, checked and homed: a stretch of work begins, the first or one after an interruption.
+    /// Positions, and the lamp's brightness, are not comparable across it without a reference shot.
     Ready {
         /// Firmware's own description.
         firmware: String,
+        /// UTC time, RFC 3339.
+        #[serde(skip_serializing_if = "Option::is_none", default)]
+        utc: Option<String>,
     },
     /// A frame is on disk.
     Frame(FrameRecord),
@@ -228,7 +281,11 @@ mod tests {
             kind: FrameKind::Sample,
             config: Some(n),
             exposure_ms: 10.0,
+            requested_ms: None,
             repeat: 0,
+            visit: 0,
+            exposed: None,
+            utc: None,
             axes_deg: [("light_elevation".to_owned(), 32.0)].into(),
             sha256: "00".to_owned(),
         })

@@ -55,6 +55,25 @@ pub struct Manifest {
     pub sample_square_mm: f64,
     /// Exposure times of the bracket, milliseconds, ascending.
     pub exposures_ms: Vec<f64>,
+    /// Where the session comes from.
+    #[serde(default)]
+    pub provenance: Provenance,
+}
+
+/// What a later reader needs to know to trust or repeat a session; empty where nobody knew.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Provenance {
+    /// SHA-256 of the texts of `rig.toml` and `plan.toml`, hexadecimal.
+    pub config_sha256: String,
+    /// SHA-256 of the program file, hexadecimal.
+    pub program_sha256: String,
+    /// All that each controller said of its version and settings, by board.
+    pub firmware: std::collections::BTreeMap<String, Vec<String>>,
+    /// The camera's serial number, as it says itself.
+    pub camera_serial: String,
+    /// Name of the computer.
+    pub host: String,
 }
 
 impl Manifest {
@@ -209,11 +228,7 @@ impl FrameRecord {
         exposure_ms: f64,
         extension: &str,
     ) -> String {
-        let kind = match kind {
-            FrameKind::Sample => "sample",
-            FrameKind::Dark => "dark",
-            FrameKind::White => "white",
-        };
+        let kind = kind.name();
         let config = config.map(|c| format!("_c{c:02}")).unwrap_or_default();
         format!("{number:04}_{kind}{config}_{exposure_ms}ms.{extension}")
     }

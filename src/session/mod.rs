@@ -21,8 +21,8 @@ mod plan;
 mod projection;
 
 pub use dng::{BitDepth, CfaPattern, DngImage, write_dng};
-pub use journal::{Entry, Event, FrameKind, FrameRecord, Journal, read_journal};
-pub use manifest::{CameraFacts, Manifest, SessionFolder, WhiteReference};
+pub use journal::{Entry, Event, Exposedness, FrameKind, FrameRecord, Journal, read_journal};
+pub use manifest::{CameraFacts, Manifest, Provenance, SessionFolder, WhiteReference};
 pub use measurements::{Intensity, Measurements};
 pub use plan::{Configuration, Plan};
 pub use projection::{Coverage, Projection, RowSpan};

@@ -152,6 +152,7 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
         white: stated,
         sample_square_mm: SAMPLE_SQUARE_MM,
         exposures_ms: setup.exposures_ms.clone(),
+        provenance: Default::default(),
     };
     let plan = Plan {
         name: "test".to_owned(),
@@ -172,6 +173,7 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
                     pose,
                     exposure_ms,
                     repeat,
+                    visit: 0,
                 });
             }
         }
@@ -215,6 +217,10 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
             config: shot.config,
             exposure_ms: frame.exposure_ms,
             repeat: shot.repeat,
+            requested_ms: None,
+            visit: 0,
+            exposed: None,
+            utc: None,
             axes_deg: Default::default(),
             sha256: String::new(),
         };

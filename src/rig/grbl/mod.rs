@@ -9,6 +9,7 @@
 //! Does not: stream lines ahead, recover from a garbled reply by guessing, reconnect, or look after collisions.
 
 mod codes;
+mod device;
 mod fault;
 mod link;
 mod motion;
@@ -16,7 +17,7 @@ mod replies;
 mod status;
 
 pub(super) use fault::stopped_at_once;
-pub use motion::{StopReport, Target};
+pub use motion::StopReport;
 pub use status::Status;
 
 use super::transport::{Clock, Transport};

@@ -4,18 +4,8 @@ use super::fault::Fault;
 use super::link::Obey;
 use super::{Grbl, REPLY_TIMEOUT, Status};
 use crate::base::Result;
+use crate::rig::devices::Target;
 use std::fmt;
-
-/// Where one axis shall go, in controller units.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Target {
-    /// Axis letter.
-    pub letter: char,
-    /// Machine position.
-    pub units: f64,
-    /// How far the position read back may be off.
-    pub tolerance: f64,
-}
 
 /// How a controlled stop ended.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,7 +28,7 @@ impl fmt::Display for StopReport {
 }
 
 /// Letters in the order of a status report's coordinates.
-const LETTERS: [char; 8] = ['X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V'];
+pub(super) const LETTERS: [char; 8] = ['X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V'];
 
 impl Grbl<'_> {
     /// Homes with `$H` and takes the position as known.
