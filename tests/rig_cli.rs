@@ -66,7 +66,7 @@ fn recorded(out: &Path, rig: &Path) {
     let plan = Plan::read(&root().join(RIG[3])).unwrap();
     let options = CaptureOptions {
         synthetic: true,
-        ..CaptureOptions::of(&rig)
+        ..CaptureOptions::default()
     };
     capture_in_process(&rig, &plan, &mut Blank, out, &options, &Unwatched).unwrap();
 }
@@ -86,7 +86,7 @@ fn a_dry_run_prints_every_axis_target_and_opens_no_port() {
     assert!(out.contains("36 frames"), "{out}");
     let line = out
         .lines()
-        .find(|l| l.starts_with("sample      10 "))
+        .find(|l| l.starts_with("sample         10 "))
         .unwrap();
     let numbers: Vec<&str> = line.split_whitespace().skip(3).collect();
     assert_eq!(numbers, ["48.000", "0.000", "64.000", "270.000", "0.000"]);
@@ -99,7 +99,10 @@ fn a_dry_run_prints_every_axis_target_and_opens_no_port() {
     let json: serde_json::Value = serde_json::from_str(&out).unwrap();
     assert_eq!(code, 0);
     assert_eq!(json["stops"].as_array().unwrap().len(), 18);
-    assert_eq!(json["stops"][10]["axes_deg"]["light_azimuth"], 270.0);
+    let stops = json["stops"].as_array().unwrap();
+    let tenth = stops.iter().find(|s| s["config"] == 10).unwrap();
+    assert_eq!(tenth["axes_deg"]["light_azimuth"], 270.0);
+    assert!(json["seconds"].as_f64().unwrap() > 60.0);
 }
 
 #[test]

@@ -6,7 +6,8 @@ use goniofit::rig::capture::CaptureOptions;
 use goniofit::rig::simulated::{capture_from_replay, capture_over_pty};
 use goniofit::rig::{
     Camera, CapturedFrame, Fault, FaultKind, Flavor, Grbl, GrblModel, ModelOptions, PtySimulator,
-    ReplayCamera, RigDescription, SerialTransport, Shot, SystemClock, Target, read_wire_log,
+    ReplayCamera, RigDescription, SerialTransport, Shot, SystemClock, Target, Unattended,
+    read_wire_log,
 };
 use goniofit::session::{CameraFacts, Plan, SessionFolder};
 use std::path::PathBuf;
@@ -147,7 +148,7 @@ fn sixteen_poses_over_two_real_ports_are_captured_and_their_wire_log_replays() {
     let plan = Plan::read(&root.join("rig_configs/plans/khungurn16.toml")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (folder.path().join("a"), folder.path().join("b"));
-    let options = CaptureOptions::of(&rig);
+    let options = CaptureOptions::default();
     let summary = capture_over_pty(
         &rig,
         &plan,
@@ -158,7 +159,7 @@ fn sixteen_poses_over_two_real_ports_are_captured_and_their_wire_log_replays() {
         &Unwatched,
     )
     .unwrap();
-    assert!(summary.finished && summary.frames == 36);
+    assert!(summary.finished() && summary.frames == 36);
     let entries = read_wire_log(&first.join("wire.jsonl")).unwrap();
     let mut camera = ReplayCamera::open(&first).unwrap();
     let again = capture_from_replay(
@@ -166,13 +167,13 @@ fn sixteen_poses_over_two_real_ports_are_captured_and_their_wire_log_replays() {
         &plan,
         entries,
         &mut camera,
+        None,
         &second,
         &options,
-        &mut |_| Ok(()),
-        &Unwatched,
+        &Unattended(&Unwatched),
     )
     .unwrap();
-    assert!(again.finished && camera.unused().is_empty());
+    assert!(again.finished() && camera.unused().is_empty());
     let names = |out: &PathBuf| -> Vec<String> {
         let frames = SessionFolder::open(out).unwrap().frames().unwrap();
         frames.into_iter().map(|f| f.file).collect()

@@ -134,7 +134,7 @@ impl Scene {
         let rig = RigDescription::read(&path("rig.toml")).unwrap();
         let options = CaptureOptions {
             synthetic: true,
-            ..CaptureOptions::of(&rig)
+            ..CaptureOptions::default()
         };
         capture_in_process(&rig, &plan, &mut Blank, &path("old"), &options, &Unwatched).unwrap();
 
@@ -219,7 +219,7 @@ fn one_interrupt_or_terminate_ends_a_warm_up_with_the_lamp_off() {
         });
         scene.capture.signal(signal);
         assert_eq!(scene.capture.code_within(PROMPT), 1);
-        scene.wait_until_said("stopped by the operator: 0 of 8 frames");
+        scene.wait_until_said("paused: 0 of 8 frames");
         let heard = scene.heard();
         assert!(dark(&heard) && !heard.contains('!'), "{heard:?}");
         assert!(
@@ -240,13 +240,15 @@ fn a_second_interrupt_stops_the_motion_and_the_position_is_kept() {
     assert!(scene.capture.0.try_wait().unwrap().is_none());
     assert!(!scene.heard().contains('!'));
     scene.capture.signal(Signal::INT);
-    assert_eq!(scene.capture.code_within(PROMPT), 2);
-    scene.wait_until_said("stopped at once by the operator");
+    assert_eq!(scene.capture.code_within(PROMPT), 3);
     scene.wait_until_said("position kept");
+    scene.wait_until_said("aborted: 0 of 8 frames");
     let heard = scene.heard();
     let stop = heard.find('!').unwrap();
     assert!(heard[stop..].contains('\x18') && dark(&heard), "{heard:?}");
-    assert!(matches!(scene.last_event(), Event::Stopped { reason } if reason.contains("at once")));
+    assert!(
+        matches!(scene.last_event(), Event::Stopped { reason } if reason.contains("by the operator"))
+    );
     let log = read_wire_log(Path::new(&scene.path("sim.jsonl"))).unwrap();
     let said = log.iter().filter(|e| e.way == Way::FromBoard);
     let said: Vec<u8> = said.flat_map(|e| e.bytes.clone()).collect();

@@ -1,32 +1,40 @@
 //! `goniofit capture`.
 
 use super::Outcome;
+use super::judge::FrameJudge;
 use super::output::data;
 use super::terminal::Terminal;
 use crate::base::{Error, Result, Watch};
-use crate::rig::capture::{self, CaptureOptions, PlannedShot, Summary};
+use crate::rig::capture::{Capture, CaptureOptions, End, Order, Summary, plan_capture};
+use crate::rig::exposures::Verdict;
 use crate::rig::simulated::capture_from_replay;
 use crate::rig::{
-    AxisName, Camera, Connection, ReplayCamera, RigDescription, SerialTransport, SystemClock,
-    Transport, read_wire_log,
+    AxisName, Camera, Connection, Judge, Operator, Outlook, PlannedShot, ReplayCamera, Request,
+    RigDescription, Seen, SerialTransport, SystemClock, Transport, read_wire_log,
 };
-use crate::session::{FrameKind, Plan, SessionFolder};
+use crate::session::{Plan, SessionFolder, sha256};
 use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Move the rig through a plan and record a session
 ///
-/// Checks the whole plan against the rig's limits before a byte is sent; then homes, shoots the white standard, every
-/// configuration and darks, and parks. Each frame is on disk before the next is taken. Ctrl-C stops after the current
-/// shot; any fault stops motion and switches the lamp off.
+/// Checks the whole plan against the rig's limits and bodies before a byte is sent; then homes, shoots the white standard,
+/// every configuration and darks, and parks. Each frame is on disk and journaled before the next is taken; it is looked at,
+/// and shot again at another exposure when it is clipped or too dark. Ctrl-C pauses after the current shot, twice stops the
+/// rig; any fault stops motion and switches the lamp off. An interrupted capture, whatever interrupted it, goes on with
+/// --resume.
 ///
-/// Cameras so far: the frames of a recorded session (replay:SESSION), and with the `uvc` feature a webcam for preview
-/// and alignment, which is not radiometric. Tethered RAW cameras are not driven yet.
+/// Exit codes: 0 all shots are on disk; 1 paused (resumable), or finished with badly exposed configurations; 2 error; 3
+/// aborted by the operator; 4 halted by the operator.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   goniofit capture --rig rig_configs/five_axis_grblhal.toml --plan rig_configs/plans/khungurn16.toml --dry-run
-      print the checked plan with every axis target; opens no port
+      print the checked plan with every axis target and the estimated time; opens no port
+  goniofit capture --rig R.toml --plan P.toml --out session --camera gphoto2
+      capture with a tethered RAW camera
+  goniofit capture --resume session --camera gphoto2
+      go on after a pause, a crash, an unplugged cable, a full disk
   goniofit capture --rig R.toml --plan P.toml --out session --camera replay:OLD --replay OLD/wire.jsonl
       play a recorded session back byte for byte; nothing moves
   goniofit capture --rig rig_configs/virtual.toml --plan rig_configs/plans/khungurn16.toml --out trial \\
@@ -36,23 +44,32 @@ use std::sync::Arc;
   goniofit capture --rig two_board_grbl.toml ... --port camera=/dev/ttyUSB0 --port light=/dev/ttyUSB1")]
 pub(crate) struct Arguments {
     /// Rig description
-    #[arg(long, value_name = "R.toml")]
-    rig: PathBuf,
+    #[arg(long, value_name = "R.toml", required_unless_present = "resume")]
+    rig: Option<PathBuf>,
     /// Plan: which configurations to visit
-    #[arg(long, value_name = "P.toml")]
-    plan: PathBuf,
+    #[arg(long, value_name = "P.toml", required_unless_present = "resume")]
+    plan: Option<PathBuf>,
     /// New session folder
-    #[arg(long, value_name = "DIR", required_unless_present = "dry_run")]
+    #[arg(long, value_name = "DIR", required_unless_present_any = ["dry_run", "resume"])]
     out: Option<PathBuf>,
-    /// Port of a board instead of the rig file's: PATH, or BOARD=PATH for each board
+    /// Go on with the interrupted session in this folder, with its own rig and plan
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["rig", "plan", "out", "replay"])]
+    resume: Option<PathBuf>,
+    /// Port of a device instead of the rig file's: PATH, or BOARD=PATH (or lamp=PATH) for each
     #[arg(long, value_name = "[BOARD=]PATH")]
     port: Vec<String>,
-    /// replay:SESSION or uvc
+    /// gphoto2, folder:PATH, aravis, uvc, or replay:SESSION
     #[arg(long, required_unless_present = "dry_run")]
     camera: Option<String>,
     /// Play this recorded dialogue instead of opening ports
     #[arg(long, value_name = "WIRE.jsonl", conflicts_with = "port")]
     replay: Option<PathBuf>,
+    /// Visit configurations in this order
+    #[arg(long, value_enum, default_value_t = OrderName::Short)]
+    order: OrderName,
+    /// Do not look at frames while capturing: no metering, no re-shooting
+    #[arg(long)]
+    blind: bool,
     /// Print the checked plan and stop
     #[arg(long)]
     dry_run: bool,
@@ -67,69 +84,150 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum OrderName {
+    /// For short travel
+    Short,
+    /// As the plan lists them
+    Plan,
+}
+
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
-    let mut rig = RigDescription::read(&arguments.rig)?;
-    let plan = Plan::read(&arguments.plan)?;
+    let (mut rig, plan) = rig_and_plan(&arguments)?;
     override_ports(&mut rig, &arguments.port)?;
-    let mut options = CaptureOptions::of(&rig);
-    options.note.clone_from(&arguments.note);
-    let shots = capture::planned_shots(&rig, &plan, &options)?;
-    if let Some(out) = &arguments.out
-        && out.join("session.json").exists()
-    {
-        return Err(
-            Error::new(format!("{} already holds a session", out.display()))
-                .with_hint("a session is never overwritten; choose another folder"),
-        );
+    let order = match arguments.order {
+        OrderName::Short => Order::Short,
+        OrderName::Plan => Order::Plan,
+    };
+    let work = plan_capture(&rig, &plan, order)?;
+    if let Some(out) = &arguments.out {
+        SessionFolder::refuse_existing(out)?;
     }
     if arguments.dry_run {
-        print_plan(&rig, &plan, &shots, arguments.json);
+        let outlook = Outlook::new(&rig, &work, &Default::default());
+        print_plan(&rig, &plan, &outlook, arguments.json);
         return Ok(Outcome::Done);
     }
-    let (Some(out), Some(camera_name)) = (&arguments.out, &arguments.camera) else {
-        return Err(Error::new("--out and --camera are needed"));
+    let camera_name = arguments
+        .camera
+        .as_ref()
+        .ok_or_else(|| Error::new("--camera is needed"))?;
+    let mut options = CaptureOptions {
+        note: arguments.note.clone(),
+        program_sha256: own_sha256(),
+        host: host_name(),
+        order,
+        ..CaptureOptions::default()
     };
     let mut camera = open_camera(camera_name, &rig, &mut options)?;
+    let judge = FrameJudge::new(camera.facts(), rig.camera.sample_square_mm);
+    let judge = (!arguments.blind).then(|| Box::new(judge) as Box<dyn Judge>);
     let terminal = Terminal::for_hardware()?;
-    let summary = if let Some(wire) = &arguments.replay {
-        let entries = read_wire_log(wire)?;
+    let person = Person {
+        terminal: &terminal,
+        yes: arguments.yes || arguments.replay.is_some(),
+    };
+    let summary = if let (Some(wire), Some(out)) = (&arguments.replay, &arguments.out) {
         terminal.say("replaying a recorded dialogue; nothing moves");
-        let mut nobody = |_: &str| Ok(());
-        capture_from_replay(
-            &rig,
-            &plan,
-            entries,
-            camera.as_mut(),
-            out,
-            &options,
-            &mut nobody,
-            &terminal,
-        )
+        let entries = read_wire_log(wire)?;
+        let camera = camera.as_mut();
+        capture_from_replay(&rig, &plan, entries, camera, judge, out, &options, &person)
     } else {
-        let yes = arguments.yes;
-        terminal.say(format!(
-            "the lamp warms up for {} s each time it is switched on",
-            rig.lamp.warm_up_s
-        ));
-        capture::run(
-            &rig,
-            &plan,
-            serial_connection(),
-            camera.as_mut(),
-            out,
-            &options,
-            &mut |question| ask(&terminal, question, yes),
-            &terminal,
-        )
+        let capture = Capture {
+            description: &rig,
+            plan: &plan,
+            connection: serial_connection(),
+            camera: camera.as_mut(),
+            judge,
+            operator: &person,
+            options,
+        };
+        match (&arguments.resume, &arguments.out) {
+            (Some(folder), _) => capture.resume(folder),
+            (None, Some(out)) => capture.start(out),
+            (None, None) => Err(Error::new("--out is needed")),
+        }
     };
     terminal.finish_stage();
     let summary = summary?;
     print_summary(&terminal, &summary, arguments.json);
-    Ok(if summary.finished {
-        Outcome::Done
-    } else {
-        Outcome::OutsideTolerance
+    Ok(match summary.end {
+        End::Finished if summary.badly_exposed.is_empty() => Outcome::Done,
+        End::Finished | End::Paused => Outcome::OutsideTolerance,
+        End::Aborted => Outcome::Aborted,
+        End::Halted => Outcome::Halted,
     })
+}
+
+fn rig_and_plan(arguments: &Arguments) -> Result<(RigDescription, Plan)> {
+    if let Some(folder) = &arguments.resume {
+        let session = SessionFolder::open(folder)?;
+        let rig = RigDescription::read(&folder.join("rig.toml"))?;
+        return Ok((rig, session.plan()?));
+    }
+    match (&arguments.rig, &arguments.plan) {
+        (Some(rig), Some(plan)) => Ok((RigDescription::read(rig)?, Plan::read(plan)?)),
+        _ => Err(Error::new("--rig and --plan are needed")),
+    }
+}
+
+/// What program this is, exactly; empty when its file cannot be read.
+fn own_sha256() -> String {
+    std::env::current_exe()
+        .and_then(std::fs::read)
+        .map_or(String::new(), |bytes| sha256(&bytes))
+}
+
+fn host_name() -> String {
+    rustix::system::uname()
+        .nodename()
+        .to_string_lossy()
+        .into_owned()
+}
+
+/// The operator at a terminal.
+struct Person<'a> {
+    terminal: &'a Terminal,
+    yes: bool,
+}
+
+impl Watch for Person<'_> {
+    fn progress(&self, stage: &str, done: u64, total: u64) {
+        self.terminal.progress(stage, done, total);
+    }
+    fn cancelled(&self) -> bool {
+        self.terminal.cancelled()
+    }
+    fn urgent(&self) -> bool {
+        self.terminal.urgent()
+    }
+}
+
+impl Operator for Person<'_> {
+    fn request(&self) -> Request {
+        if self.urgent() {
+            Request::Abort
+        } else if self.cancelled() {
+            Request::Pause
+        } else {
+            Request::Go
+        }
+    }
+    fn confirm(&self, question: &str) -> Result<()> {
+        ask(self.terminal, question, self.yes)
+    }
+    fn paused(&self) -> bool {
+        false
+    }
+    fn seen(&self, what: &Seen<'_>) {
+        match what {
+            Seen::Note(note) => self.terminal.say(note),
+            Seen::WarmingUp(seconds) => self
+                .terminal
+                .say(format!("the lamp warms up for {seconds:.0} s")),
+            _ => {}
+        }
+    }
 }
 
 fn override_ports(rig: &mut RigDescription, ports: &[String]) -> Result<()> {
@@ -180,10 +278,10 @@ fn open_camera(
         let recorded = SessionFolder::open(Path::new(folder))?
             .manifest()?
             .exposures_ms;
-        if recorded != options.exposures_ms {
+        if recorded != rig.camera.exposures_ms {
             return Err(Error::new(format!(
                 "{folder} was recorded at exposures {recorded:?} ms, the rig takes {:?} ms",
-                options.exposures_ms
+                rig.camera.exposures_ms
             ))
             .with_hint(format!(
                 "use the rig of the recording: --rig {folder}/rig.toml"
@@ -256,6 +354,26 @@ fn wait_for_stdin(terminal: &Terminal) -> Result<()> {
 
 fn print_summary(terminal: &Terminal, summary: &Summary, json: bool) {
     let folder = summary.session.root().display();
+    let end = match summary.end {
+        End::Finished => "finished",
+        End::Paused => "paused",
+        End::Aborted => "aborted",
+        End::Halted => "halted",
+    };
+    let bad: Vec<String> = summary
+        .badly_exposed
+        .iter()
+        .map(|(stop, verdict)| {
+            let what = match stop.config {
+                Some(c) => format!("configuration {c}"),
+                None => stop.kind.name().to_owned(),
+            };
+            match verdict {
+                Verdict::Clipped => format!("{what}: every exposure is clipped"),
+                _ => format!("{what}: every exposure is too dark"),
+            }
+        })
+        .collect();
     if json {
         data!(
             "{}",
@@ -263,50 +381,51 @@ fn print_summary(terminal: &Terminal, summary: &Summary, json: bool) {
                 "session": folder.to_string(),
                 "frames": summary.frames,
                 "frames_planned": summary.frames_planned,
-                "finished": summary.finished,
+                "end": end,
+                "finished": summary.finished(),
                 "elapsed_s": summary.elapsed,
+                "badly_exposed": bad,
             })
         );
     } else {
         data!("{folder}");
     }
-    let end = if summary.finished {
-        "finished"
-    } else {
-        "stopped by the operator"
-    };
+    for line in summary.stopped.iter().chain(&bad) {
+        terminal.say(line);
+    }
     terminal.say(format!(
-        "{end}: {} of {} frames in {:.0} s of the rig's time",
+        "{end}: {} of {} frames, {:.0} s of the rig's time",
         summary.frames, summary.frames_planned, summary.elapsed
     ));
+    if !summary.finished() {
+        terminal.say(format!("go on with `goniofit capture --resume {folder}`"));
+    }
 }
 
-fn print_plan(rig: &RigDescription, plan: &Plan, shots: &[PlannedShot], json: bool) {
-    // Each place is visited once, whatever the number of exposures there.
-    let mut stops: Vec<&PlannedShot> = Vec::new();
-    for shot in shots {
-        let same =
-            |s: &&PlannedShot| (s.shot.kind, s.shot.config) == (shot.shot.kind, shot.shot.config);
-        if !stops.last().is_some_and(same) {
-            stops.push(shot);
+/// The stops of a list of shots, each with its number of frames.
+fn stops(shots: &[PlannedShot]) -> Vec<(&PlannedShot, usize)> {
+    let mut stops: Vec<(&PlannedShot, usize)> = Vec::new();
+    for planned in shots {
+        let key = |p: &PlannedShot| (p.shot.kind, p.shot.config, p.shot.visit);
+        match stops.last_mut() {
+            Some((first, frames)) if key(first) == key(planned) => *frames += 1,
+            _ => stops.push((planned, 1)),
         }
     }
-    let count = |stop: &PlannedShot| {
-        let key = (stop.shot.kind, stop.shot.config);
-        shots
-            .iter()
-            .filter(|s| (s.shot.kind, s.shot.config) == key)
-            .count()
-    };
-    let name = FrameKind::name;
+    stops
+}
+
+fn print_plan(rig: &RigDescription, plan: &Plan, outlook: &Outlook, json: bool) {
+    let shots = outlook.shots();
+    let stops = stops(shots);
     if json {
         let stops: Vec<serde_json::Value> = stops
             .iter()
-            .map(|s| {
+            .map(|(s, frames)| {
                 serde_json::json!({
-                    "kind": name(s.shot.kind),
+                    "kind": s.shot.kind.name(),
                     "config": s.shot.config,
-                    "frames": count(s),
+                    "frames": frames,
                     "axes_deg": s.angles.by_name(),
                 })
             })
@@ -314,7 +433,8 @@ fn print_plan(rig: &RigDescription, plan: &Plan, shots: &[PlannedShot], json: bo
         data!(
             "{}",
             serde_json::json!({
-                "rig": rig.name, "plan": plan.name, "frames": shots.len(), "stops": stops
+                "rig": rig.name, "plan": plan.name, "frames": shots.len(), "stops": stops,
+                "seconds": outlook.seconds_left(),
             })
         );
         return;
@@ -326,18 +446,21 @@ fn print_plan(rig: &RigDescription, plan: &Plan, shots: &[PlannedShot], json: bo
         shots.len()
     );
     let heads: Vec<&str> = AxisName::ALL.iter().map(|a| a.name()).collect();
-    data!("kind    config  frames  {}", heads.join("  "));
-    for stop in stops {
+    data!("kind       config  frames  {}", heads.join("  "));
+    for (stop, frames) in stops {
         let config = stop.shot.config.map_or("-".to_owned(), |c| c.to_string());
         let angles: Vec<String> = AxisName::ALL
             .iter()
             .map(|a| format!("{:>w$.3}", stop.angles.get(*a), w = a.name().len()))
             .collect();
         data!(
-            "{:<6}  {config:>6}  {:>6}  {}",
-            name(stop.shot.kind),
-            count(stop),
+            "{:<9}  {config:>6}  {frames:>6}  {}",
+            stop.shot.kind.name(),
             angles.join("  ")
         );
     }
+    data!(
+        "# estimated time {:.0} s, homing and downloads not counted",
+        outlook.seconds_left()
+    );
 }

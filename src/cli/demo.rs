@@ -147,12 +147,12 @@ fn capture(a: &Arguments, recorded: &Path, terminal: &Terminal) -> Result<Sessio
     let options = CaptureOptions {
         note: format!("demo: frames replayed from {}", recorded.display()),
         synthetic: manifest.synthetic,
-        ..CaptureOptions::of(&rig)
+        ..CaptureOptions::default()
     };
     let mut camera = ReplayCamera::open(recorded)?;
     let out = a.out.join("session");
     let summary = capture_over_pty(&rig, &plan, &mut camera, &out, &options, SPEED, terminal)?;
-    if !summary.finished {
+    if !summary.finished() {
         return Err(Error::new("interrupted during capture").with_hint(format!(
             "{} frames are in {}",
             summary.frames,

@@ -6,6 +6,7 @@
 #![allow(clippy::print_stderr)]
 
 mod inputs;
+mod judge;
 mod output;
 mod terminal;
 
@@ -31,6 +32,10 @@ pub(crate) enum Outcome {
     Done,
     /// Exit code 1: finished, but not within tolerance (not converged, saturated frames).
     OutsideTolerance,
+    /// Exit code 3: ended by the operator, the rig stopped in order.
+    Aborted,
+    /// Exit code 4: ended by the operator, the rig stopped the fastest way.
+    Halted,
 }
 
 /// From a gonioreflectometer's plan to fiber scattering parameters: move the rig, measure the frames, fit, report.
@@ -61,6 +66,8 @@ pub fn main() -> ExitCode {
     match run(arguments.command) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::OutsideTolerance) => ExitCode::from(1),
+        Ok(Outcome::Aborted) => ExitCode::from(3),
+        Ok(Outcome::Halted) => ExitCode::from(4),
         Err(error) => {
             eprintln!("error: {}", error.report());
             ExitCode::from(2)

@@ -9,7 +9,7 @@ use crate::rig::capture::CaptureOptions;
 use crate::rig::simulated::capture_in_process;
 use crate::rig::{Appearance, RigDescription, SensorModel, VirtualCamera, white_radiance};
 use crate::scatter::{self, Parameters};
-use crate::session::{Configuration, FrameKind, Plan, WhiteReference, files};
+use crate::session::{Configuration, FrameKind, Plan, SessionFolder, WhiteReference, files};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -98,12 +98,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     let plan = Plan::read(&a.plan)?;
     let rig = RigDescription::read(&a.rig)?;
     rig.plan_angles(&plan)?;
-    if a.out.join("session.json").exists() {
-        return Err(
-            Error::new(format!("{} already holds a session", a.out.display()))
-                .with_hint("a session is never overwritten; choose another folder"),
-        );
-    }
+    SessionFolder::refuse_existing(&a.out)?;
     let terminal = Terminal::new()?;
     let scene = fiber_scene(&a.fabric, model, surroundings(&rig)?)?;
 
@@ -119,7 +114,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     let options = CaptureOptions {
         note: a.note.clone(),
         synthetic: true,
-        ..CaptureOptions::of(&rig)
+        ..CaptureOptions::default()
     };
     let summary = capture_in_process(&rig, &plan, &mut camera, &a.out, &options, &terminal)?;
     terminal.finish_stage();
@@ -136,7 +131,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
             json!({"session": a.out, "frames": summary.frames, "synthetic": true, "truth": truth})
         );
     }
-    Ok(if summary.finished {
+    Ok(if summary.finished() {
         Outcome::Done
     } else {
         Outcome::OutsideTolerance

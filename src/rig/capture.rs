@@ -1,114 +1,229 @@
-//! The capture loop: the only code that moves a rig.
+//! The capture loop: the only code that moves a rig through a plan.
 //!
-//! Checks the whole plan before a byte is sent, then connects, homes, and works through a list of shots that is plain
-//! data. Every frame is on disk and journaled before the next one is asked for. Whatever fails: motion stops, the lamp
-//! goes off, the journal says why, and what is on disk stays.
+//! Checks the whole plan before a byte is sent, then connects, homes, and asks [`CapturePlan::next`] for one shot after
+//! the other. Every frame is on disk and journaled before the next one is asked for; a session that was cut short, by
+//! whatever, goes on from its journal with [`Capture::resume`]. Whatever fails: motion stops, the lamp goes off, the
+//! journal says why, and what is on disk stays.
 //!
-//! [`Watch::cancelled`] ends it before the next motion or shot, or within 0.1 s while something settles or warms up; a
-//! motion under way ends where it was going. [`Watch::urgent`] stops motion within 0.1 s, whatever is going on, but for an
-//! exposure: the stop comes when the camera returns, and that frame is not kept.
+//! A request to pause is obeyed before the next motion or shot, or within 0.1 s while something settles or warms up; a
+//! motion under way ends where it was going. Every more urgent request stops motion within 0.1 s, whatever is going on,
+//! but for an exposure: the stop comes when the camera returns, and that frame is not kept.
 //!
-//! Does not choose exposures, judge frames, follow lamp drift, or continue an interrupted session.
+//! Does not reconnect by itself: after a lost device the position is unknown, and somebody should look before it moves.
 
-pub use super::shots::{CaptureOptions, PlannedShot, planned_shots};
+pub use super::shots::{CaptureOptions, CapturePlan, Order, PlannedShot, Stop, plan_capture};
 
 use super::description::RigDescription;
+use super::devices::{Camera, CapturedFrame, Judge, Shot};
+use super::exposures::Verdict;
 use super::kinematics::AxisAngles;
-use super::machine::{Connection, Halt, Opener, Prompt, Rig, Step};
-use super::shots::white_id;
+use super::machine::{Connection, Halt, Opener, Rig, Step};
+use super::operator::{Operator, Request, Seen, Taken};
+use super::outlook::Outlook;
+use super::shots::{History, white_id};
 use super::transport::Clock;
 use super::utc::utc_now;
 use super::wire_log::{RecordingTransport, WireLog};
-use super::{Camera, Shot};
-use crate::base::{Context, Error, Result, Watch};
+use crate::base::{Context, Error, Result};
 use crate::session::{
-    Event, FrameKind, FrameRecord, Journal, Manifest, Plan, Provenance, SessionFolder,
+    Event, Exposedness, FrameKind, FrameRecord, Journal, Manifest, Plan, Provenance, SessionFolder,
     WhiteReference,
 };
 use std::path::Path;
 use std::sync::Arc;
 
+/// How often a frame that cannot be decoded is shot again.
+const TORN_FRAMES: u32 = 2;
+
 /// How a capture ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// All shots are on disk.
+    Finished,
+    /// The operator paused it and did not go on; the rig stands, its position was known.
+    Paused,
+    /// The operator ended it; motion was stopped with its position kept.
+    Aborted,
+    /// The operator stopped it the fastest way.
+    Halted,
+}
+
+/// What a capture left.
 #[derive(Debug, Clone)]
 pub struct Summary {
     /// The session.
     pub session: SessionFolder,
     /// Frames on disk.
     pub frames: usize,
-    /// Frames the plan asks for.
+    /// Frames there would be at the end, as far as is known.
     pub frames_planned: usize,
     /// Seconds on the rig's clock.
     pub elapsed: f64,
-    /// False when it was asked to stop early.
-    pub finished: bool,
+    /// How it ended.
+    pub end: End,
+    /// What was done to stop, when it was stopped.
+    pub stopped: Vec<String>,
+    /// Stops without a well exposed frame.
+    pub badly_exposed: Vec<(Stop, Verdict)>,
 }
 
-/// Runs a capture into the new session folder `out`; the wire log goes to `wire.jsonl` in it.
-///
-/// `prompt` is asked before the whites, before the sample, and for boards homed by hand.
-///
-/// # Errors
-/// The plan or the folder is refused (nothing was sent then), or a device or the disk fails: motion is stopped, the
-/// lamp off, the journal has `stopped`, and the message says what is safe on disk.
-#[allow(clippy::too_many_arguments)]
-pub fn run(
-    description: &RigDescription,
-    plan: &Plan,
-    mut connection: Connection,
-    camera: &mut dyn Camera,
-    out: &Path,
-    options: &CaptureOptions,
-    prompt: &mut Prompt,
-    watch: &dyn Watch,
-) -> Result<Summary> {
-    let shots = planned_shots(description, plan, options)?;
-    if out.join("session.json").exists() || out.join("journal.jsonl").exists() {
-        return Err(
-            Error::new(format!("{} already holds a session", out.display()))
-                .with_hint("a session is never overwritten; choose another folder"),
-        );
+impl Summary {
+    /// True when all shots are on disk.
+    pub fn finished(&self) -> bool {
+        self.end == End::Finished
     }
-    let clock = connection.clock.clone();
-    let start = clock.now();
-    let log = WireLog::new();
-    let wait_scale = connection.wait_scale;
-    let mut recorded = Connection {
-        open: record(&mut connection, &log),
-        clock: clock.clone(),
-        wait_scale,
-    };
-    let mut rig = Rig::connect(description, &mut recorded, watch)
-        .context(|| "the capture did not begin, nothing was moved")?;
-    drop(recorded);
-    let manifest = manifest(description, plan, camera, options);
-    let (session, journal) = SessionFolder::create(out, &manifest, plan, &description.text)?;
-    log.write_to(&out.join("wire.jsonl"))?;
-    let mut capture = Loop {
-        rig: &mut rig,
-        camera,
-        session: &session,
-        journal,
-        log: &log,
-        clock: clock.as_ref(),
-        start,
-        frames: 0,
-        watch,
-    };
-    let worked = match capture.work(&shots, prompt) {
-        Err(Halt::Cancelled) => capture.stop_early().map(|()| false),
-        Err(Halt::Failed(error)) => Err(error),
-        Ok(()) => Ok(true),
-    };
-    match worked {
-        Ok(finished) => Ok(Summary {
-            frames: capture.frames,
-            frames_planned: shots.len(),
-            elapsed: clock.now() - start,
-            finished,
+}
+
+/// Everything a capture is made of.
+pub struct Capture<'a> {
+    /// The rig.
+    pub description: &'a RigDescription,
+    /// What to visit.
+    pub plan: &'a Plan,
+    /// How the rig is reached.
+    pub connection: Connection<'a>,
+    /// The camera.
+    pub camera: &'a mut dyn Camera,
+    /// Who looks at each frame; without one nothing is metered or shot again.
+    pub judge: Option<Box<dyn Judge + 'a>>,
+    /// The person in front of the rig.
+    pub operator: &'a dyn Operator,
+    /// The rest.
+    pub options: CaptureOptions,
+}
+
+impl Capture<'_> {
+    /// Captures into the new session folder `out`; the wire log goes to `wire.jsonl` in it.
+    ///
+    /// # Errors
+    /// The plan or the folder is refused (nothing was sent then), or a device or the disk fails: motion is stopped, the
+    /// lamp off, the journal has `stopped`, and the message says what is safe on disk.
+    pub fn start(self, out: &Path) -> Result<Summary> {
+        SessionFolder::refuse_existing(out)?;
+        self.run(|capture, rig| {
+            let manifest = capture.manifest(rig)?;
+            let text = &capture.description.text;
+            let (session, journal) = SessionFolder::create(out, &manifest, capture.plan, text)?;
+            Ok((session, journal, History::default(), 0.0))
+        })
+    }
+
+    /// Goes on with an interrupted session: finished shots are kept, the rig is homed again.
+    ///
+    /// # Errors
+    /// It is no session of this rig and plan, it is complete, or as [`Capture::start`].
+    pub fn resume(self, root: &Path) -> Result<Summary> {
+        let manifest = SessionFolder::open(root)?.manifest()?;
+        let recorded = &manifest.provenance.config_sha256;
+        if *recorded != config_sha256(self.description, self.plan)? {
+            return Err(Error::new(format!(
+                "{} was begun with another rig file or plan",
+                root.display()
+            ))
+            .with_hint(
+                "resume with the session's own rig.toml and plan.toml; only ports may differ",
+            ));
+        }
+        let (session, journal, entries) = SessionFolder::resume(root)?;
+        if entries.iter().any(|e| e.event == Event::Finished) {
+            return Err(Error::new(format!("{} is complete", root.display()))
+                .with_hint("measure it with `goniofit measure session`"));
+        }
+        let elapsed = entries.last().map_or(0.0, |e| e.elapsed_s);
+        let history = History::of(&entries);
+        self.run(|_, _| Ok((session, journal, history, elapsed)))
+    }
+
+    fn run(
+        mut self,
+        open: impl FnOnce(&Self, &Rig) -> Result<(SessionFolder, Journal, History, f64)>,
+    ) -> Result<Summary> {
+        let plan = plan_capture(self.description, self.plan, self.options.order)?;
+        if plan.needs_judge() && self.judge.is_none() {
+            return Err(Error::new("metering needs somebody to look at the frames")
+                .with_hint("set camera.metering = \"fixed\" in the rig file"));
+        }
+        let clock = self.connection.clock.clone();
+        let begun = clock.now();
+        let log = WireLog::new();
+        let wait_scale = self.connection.wait_scale;
+        let mut recorded = Connection {
+            open: record(&mut self.connection, &log),
+            clock: clock.clone(),
+            wait_scale,
+        };
+        let operator = self.operator;
+        let mut rig = Rig::connect(self.description, &mut recorded, operator)
+            .context(|| "the capture did not begin, nothing was moved")?;
+        drop(recorded);
+        let (session, journal, history, earlier) = open(&self, &rig)?;
+        log.write_to(&new_wire_log(&session))?;
+        Loop {
+            outlook: Outlook::new(self.description, &plan, &history),
+            plan,
+            rig: &mut rig,
+            camera: self.camera,
+            judge: self.judge,
+            operator,
             session,
-        }),
-        Err(error) => Err(capture.give_up(error, shots.len())),
+            journal,
+            history,
+            log: &log,
+            clock: clock.as_ref(),
+            begun,
+            earlier,
+            in_place: None,
+            at: None,
+        }
+        .to_the_end()
     }
+
+    fn manifest(&self, rig: &Rig) -> Result<Manifest> {
+        let white = &self.description.white;
+        Ok(Manifest {
+            format: Manifest::FORMAT.to_owned(),
+            program: format!("goniofit {}", env!("CARGO_PKG_VERSION")),
+            started_utc: self.options.started_utc.clone().unwrap_or_else(utc_now),
+            note: self.options.note.clone(),
+            synthetic: self.options.synthetic,
+            rig: self.description.name.clone(),
+            camera: self.camera.facts(),
+            white: WhiteReference {
+                configuration: white.configuration(white_id(self.plan)),
+                reflectance_factor: white.reflectance_factor,
+                reflectance_factor_se: white.reflectance_factor_se,
+            },
+            sample_square_mm: self.description.camera.sample_square_mm,
+            exposures_ms: self.description.camera.exposures_ms.clone(),
+            provenance: Provenance {
+                config_sha256: config_sha256(self.description, self.plan)?,
+                program_sha256: self.options.program_sha256.clone(),
+                firmware: rig.dump(),
+                camera_serial: self.camera.serial(),
+                host: self.options.host.clone(),
+            },
+        })
+    }
+}
+
+/// What makes two captures the same work: the texts of rig and plan.
+fn config_sha256(description: &RigDescription, plan: &Plan) -> Result<String> {
+    let mut text = description.text.clone();
+    text.push('\0');
+    text.push_str(&plan.to_toml()?);
+    Ok(crate::session::sha256(text.as_bytes()))
+}
+
+/// `wire.jsonl`, or the first of `wire-2.jsonl`, ... that is not there: each run has its own.
+fn new_wire_log(session: &SessionFolder) -> std::path::PathBuf {
+    let name = |n: u32| match n {
+        1 => "wire.jsonl".to_owned(),
+        n => format!("wire-{n}.jsonl"),
+    };
+    (1..)
+        .map(|n| session.root().join(name(n)))
+        .find(|p| !p.exists())
+        .unwrap_or_else(|| session.root().join("wire.jsonl"))
 }
 
 /// The connection's opener with every stream recorded.
@@ -116,98 +231,131 @@ fn record<'a>(connection: &'a mut Connection, log: &WireLog) -> Opener<'a> {
     let log = log.clone();
     let clock = connection.clock.clone();
     let open = &mut connection.open;
-    Box::new(move |board| {
-        let inner = open(board)?;
+    Box::new(move |port| {
+        let inner = open(port)?;
         Ok(Box::new(RecordingTransport::new(
             inner,
-            &board.name,
+            &port.name,
             Arc::clone(&clock),
             log.clone(),
         )))
     })
 }
 
-fn manifest(
-    description: &RigDescription,
-    plan: &Plan,
-    camera: &dyn Camera,
-    options: &CaptureOptions,
-) -> Manifest {
-    let white = &description.white;
-    Manifest {
-        format: Manifest::FORMAT.to_owned(),
-        program: format!("goniofit {}", env!("CARGO_PKG_VERSION")),
-        started_utc: options.started_utc.clone().unwrap_or_else(utc_now),
-        note: options.note.clone(),
-        synthetic: options.synthetic,
-        rig: description.name.clone(),
-        camera: camera.facts(),
-        white: WhiteReference {
-            configuration: white.configuration(white_id(plan)),
-            reflectance_factor: white.reflectance_factor,
-            reflectance_factor_se: white.reflectance_factor_se,
-        },
-        sample_square_mm: description.camera.sample_square_mm,
-        exposures_ms: options.exposures_ms.clone(),
-        provenance: Provenance::default(),
-    }
-}
-
 struct Loop<'a, 'w> {
+    plan: CapturePlan,
+    outlook: Outlook,
     rig: &'a mut Rig<'w>,
     camera: &'a mut dyn Camera,
-    session: &'a SessionFolder,
+    judge: Option<Box<dyn Judge + 'a>>,
+    operator: &'a dyn Operator,
+    session: SessionFolder,
     journal: Journal,
+    history: History,
     log: &'a WireLog,
     clock: &'a dyn Clock,
-    start: f64,
-    frames: usize,
-    watch: &'a dyn Watch,
+    /// The rig's clock when this run began.
+    begun: f64,
+    /// Seconds the session had lasted before.
+    earlier: f64,
+    /// What lies under the camera, as far as the operator was asked.
+    in_place: Option<FrameKind>,
+    at: Option<AxisAngles>,
 }
 
 impl Loop<'_, '_> {
     fn elapsed(&self) -> f64 {
-        self.clock.now() - self.start
+        self.earlier + self.clock.now() - self.begun
     }
 
-    fn work(&mut self, shots: &[PlannedShot], prompt: &mut Prompt) -> Step {
-        self.rig.home(prompt)?;
-        let firmware = self.rig.firmware();
-        self.journal.append(
-            self.elapsed(),
-            Event::Ready {
-                firmware,
-                utc: Some(utc_now()),
-            },
-        )?;
-        let mut in_place = None;
-        let mut at: Option<AxisAngles> = None;
-        for (i, planned) in shots.iter().enumerate() {
-            self.watch.progress("capture", i as u64, shots.len() as u64);
-            self.rig.obey()?;
-            let kind = planned.shot.kind;
-            if in_place != Some(kind) {
-                match kind {
-                    FrameKind::White => self.rig.ask(prompt, "put the white standard in place")?,
-                    FrameKind::Sample | FrameKind::Reference | FrameKind::Meter => {
-                        self.rig.ask(prompt, "put the sample in place")?;
+    /// Works until all shots are taken or somebody or something ends it.
+    fn to_the_end(mut self) -> Result<Summary> {
+        let frames_before = self.history.len();
+        loop {
+            let error = match self.stretch() {
+                Ok(()) => return Ok(self.summary(End::Finished, Vec::new())),
+                Err(Halt::Cancelled) => None,
+                Err(Halt::Failed(error)) => Some(error),
+            };
+            let request = self.operator.request();
+            let end = match (request, error) {
+                // The rig is at rest with the lamp on.
+                (Request::Go | Request::Pause, None) => {
+                    if self.operator.paused() {
+                        continue;
                     }
-                    FrameKind::Dark => {}
+                    self.close("paused by the operator")?;
+                    return Ok(self.summary(End::Paused, Vec::new()));
                 }
-                in_place = Some(kind);
+                (Request::Go | Request::Pause, Some(error)) => {
+                    return Err(self.give_up(error, frames_before));
+                }
+                (Request::PauseNow, _) => End::Paused,
+                (Request::Abort, _) => End::Aborted,
+                (Request::Halt, _) => End::Halted,
+            };
+            let done = self.rig.make_safe(end == End::Halted);
+            self.at = None;
+            if end == End::Paused && self.operator.paused() {
+                // The lamp was off: what follows is compared through the reference pose.
+                continue;
             }
-            if at != Some(planned.angles) {
-                self.rig.move_to(&planned.angles)?;
-                at = Some(planned.angles);
+            self.journal_stop(match end {
+                End::Aborted => "stopped by the operator",
+                End::Halted => "stopped at once by the operator",
+                _ => "paused by the operator",
+            })?;
+            return Ok(self.summary(end, done));
+        }
+    }
+
+    fn summary(self, end: End, stopped: Vec<String>) -> Summary {
+        let badly_exposed = match end {
+            End::Finished => self.plan.badly_exposed(&self.history),
+            _ => Vec::new(),
+        };
+        Summary {
+            frames: self.history.len(),
+            frames_planned: self.history.len() + self.outlook.frames_left(),
+            elapsed: self.clock.now() - self.begun,
+            session: self.session,
+            end,
+            stopped,
+            badly_exposed,
+        }
+    }
+
+    /// Homes if need be and takes shots until none is missing.
+    fn stretch(&mut self) -> Step {
+        if !self.rig.is_homed() || !self.rig.lamp_is_on() {
+            if !self.rig.is_homed() {
+                let operator = self.operator;
+                self.at = None;
+                self.rig.home(&mut |question| operator.confirm(question))?;
             }
-            match kind {
+            let event = Event::Ready {
+                firmware: self.rig.firmware(),
+                utc: Some(utc_now()),
+            };
+            self.journal.append(self.elapsed(), event)?;
+            self.history.begin_stretch();
+        }
+        self.outlook.renew(&self.plan, &self.history);
+        while let Some(planned) = self.plan.next(&self.history) {
+            let taken = self.history.len() as u64;
+            let all = taken + self.outlook.frames_left() as u64;
+            self.operator.progress("capture", taken, all);
+            self.rig.obey()?;
+            self.put_in_place(planned.shot.kind)?;
+            self.go_to(&planned)?;
+            match planned.shot.kind {
                 FrameKind::Dark => self.rig.lamp_off()?,
-                _ => self.rig.lamp_on()?,
+                _ => self.light()?,
             }
             self.take(&planned.shot)?;
         }
-        self.watch
-            .progress("capture", shots.len() as u64, shots.len() as u64);
+        let all = self.history.len() as u64;
+        self.operator.progress("capture", all, all);
         self.rig.lamp_off()?;
         match self.rig.park() {
             // All shots are on disk: where the axes stay does not matter.
@@ -218,26 +366,62 @@ impl Loop<'_, '_> {
         Ok(())
     }
 
+    fn put_in_place(&mut self, kind: FrameKind) -> Step {
+        let (kind, question) = match kind {
+            FrameKind::White => (kind, "put the white standard in place"),
+            FrameKind::Dark => return Ok(()),
+            _ => (FrameKind::Sample, "put the sample in place"),
+        };
+        if self.in_place != Some(kind) {
+            let operator = self.operator;
+            self.rig.ask(&mut |q| operator.confirm(q), question)?;
+            self.in_place = Some(kind);
+        }
+        Ok(())
+    }
+
+    fn go_to(&mut self, planned: &PlannedShot) -> Step {
+        if self.at == Some(planned.angles) {
+            return Ok(());
+        }
+        let begun = self.clock.now();
+        let expected = self.outlook.travel_to(self.at.as_ref(), planned);
+        self.operator.seen(&Seen::Moving(&planned.shot, expected));
+        self.at = None;
+        self.rig.move_to(&planned.angles)?;
+        self.hand_on_notes();
+        self.at = Some(planned.angles);
+        self.outlook.moved(expected, self.clock.now() - begun);
+        Ok(())
+    }
+
+    fn light(&mut self) -> Step {
+        if !self.rig.lamp_is_on() {
+            self.operator
+                .seen(&Seen::WarmingUp(self.rig.warm_up_seconds()));
+        }
+        self.rig.lamp_on()
+    }
+
+    /// Tells what the boards had to be asked twice for.
+    fn hand_on_notes(&mut self) {
+        for note in self.rig.take_notes() {
+            self.operator.seen(&Seen::Note(&note));
+        }
+    }
+
     fn take(&mut self, shot: &Shot) -> Result<()> {
         let read_back = self.rig.verify()?;
-        let frame = self
-            .camera
+        let begun = self.clock.now();
+        self.operator.seen(&Seen::Exposing(shot));
+        let (frame, exposed) = self
             .expose(shot)
             .context(|| format!("shot {}", describe(shot)))?;
-        if frame.bytes.is_empty() || !(frame.exposure_ms > 0.0 && frame.exposure_ms.is_finite()) {
-            return Err(Error::new(format!(
-                "shot {}: the camera returned {} bytes and exposure {} ms",
-                describe(shot),
-                frame.bytes.len(),
-                frame.exposure_ms
-            ))
-            .with_hint("check the camera's connection and memory"));
-        }
         // The shot counts only if nothing moved while the shutter was open.
         self.rig.verify()?;
         let record = FrameRecord {
             file: FrameRecord::standard_name(
-                self.frames + 1,
+                self.history.len() + 1,
                 shot.kind,
                 shot.config,
                 shot.exposure_ms,
@@ -249,48 +433,98 @@ impl Loop<'_, '_> {
             requested_ms: Some(shot.exposure_ms),
             repeat: shot.repeat,
             visit: shot.visit,
-            exposed: None,
+            exposed,
             utc: Some(utc_now()),
             axes_deg: read_back.by_name(),
             sha256: String::new(),
         };
         let elapsed = self.elapsed();
-        self.session
+        let record = self
+            .session
             .add_frame(&mut self.journal, elapsed, record, &frame.bytes)?;
-        self.frames += 1;
+        self.history.add(record.clone());
+        self.outlook.taken(shot, self.clock.now() - begun);
+        self.outlook.renew(&self.plan, &self.history);
+        self.hand_on_notes();
+        self.operator.seen(&Seen::Taken(&Taken {
+            shot,
+            record: &record,
+            frame: &frame,
+            frames: self.history.len(),
+            frames_planned: self.history.len() + self.outlook.frames_left(),
+            remaining_s: self.outlook.seconds_left(),
+        }));
         self.log.check()
     }
 
-    fn stop_early(&mut self) -> Result<()> {
-        self.rig.lamp_off()?;
-        let reason = "stopped by the operator".to_owned();
+    /// A whole frame and how well it is exposed; one that cannot be read is shot again, a bounded number of times.
+    fn expose(&mut self, shot: &Shot) -> Result<(CapturedFrame, Option<Exposedness>)> {
+        let mut torn = 0;
+        loop {
+            let frame = self.camera.expose(shot)?;
+            if frame.bytes.is_empty() || !(frame.exposure_ms > 0.0 && frame.exposure_ms.is_finite())
+            {
+                return Err(Error::new(format!(
+                    "the camera returned {} bytes and exposure {} ms",
+                    frame.bytes.len(),
+                    frame.exposure_ms
+                ))
+                .with_hint("check the camera's connection and memory"));
+            }
+            let Some(judge) = &mut self.judge else {
+                return Ok((frame, None));
+            };
+            match judge.judge(shot, &frame) {
+                Ok(exposed) => return Ok((frame, exposed)),
+                Err(error) if torn < TORN_FRAMES => {
+                    torn += 1;
+                    let reason = error.report().replace('\n', "; ");
+                    self.operator.seen(&Seen::Note(&format!(
+                        "shot {} again: {reason}",
+                        describe(shot)
+                    )));
+                }
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn journal_stop(&mut self, reason: &str) -> Result<()> {
+        let reason = reason.to_owned();
         self.journal
             .append(self.elapsed(), Event::Stopped { reason })
     }
 
+    /// Ends an undisturbed capture before its end.
+    fn close(&mut self, reason: &str) -> Result<()> {
+        self.rig.lamp_off()?;
+        self.journal_stop(reason)
+    }
+
     /// Makes the rig safe and tells what happened and what is kept.
-    fn give_up(&mut self, error: Error, planned: usize) -> Error {
+    fn give_up(&mut self, error: Error, frames_before: usize) -> Error {
         let done = self.rig.make_safe(false);
+        self.hand_on_notes();
         let reason = error
             .report()
             .lines()
             .next()
             .unwrap_or("unknown")
             .to_owned();
-        let elapsed = self.elapsed();
-        let journaled = self.journal.append(elapsed, Event::Stopped { reason });
+        let journaled = self.journal_stop(&reason);
         let mut hint = format!("{}; ", done.join("; ").replace("\nhint: ", ", "));
         if journaled.is_err() {
             hint.push_str("the journal could not be closed; ");
         }
+        let frames = self.history.len();
         hint.push_str(&format!(
-            "the {} frames taken so far are safe in {}",
-            self.frames,
-            self.session.root().display()
+            "the {frames} frames taken so far are safe in {folder}; go on with `goniofit capture --resume {folder}`",
+            folder = self.session.root().display()
         ));
         Error::new(format!(
-            "capture stopped after {} of {planned} frames",
-            self.frames
+            "capture stopped after {} of {} frames",
+            frames - frames_before,
+            frames - frames_before + self.outlook.frames_left()
         ))
         .with_hint(hint)
         .with_source(error)

@@ -170,6 +170,24 @@ impl<'a> Rig<'a> {
             .collect()
     }
 
+    /// What boards had to be asked for more than once since the last call, and why.
+    pub fn take_notes(&mut self) -> Vec<String> {
+        self.boards
+            .iter_mut()
+            .flat_map(|b| b.take_notes())
+            .collect()
+    }
+
+    /// True while the lamp is on, as far as is known here.
+    pub fn lamp_is_on(&self) -> bool {
+        self.lamp_on
+    }
+
+    /// Seconds [`Rig::lamp_on`] waits after switching on.
+    pub fn warm_up_seconds(&self) -> f64 {
+        self.description.lamp.warm_up_s * self.wait_scale
+    }
+
     /// True while every board's position is known.
     pub fn is_homed(&self) -> bool {
         self.boards.iter().all(|b| b.is_homed())

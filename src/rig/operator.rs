@@ -72,20 +72,31 @@ pub trait Operator: Watch {
     fn seen(&self, what: &Seen<'_>);
 }
 
-/// An operator who has everything in place, never interrupts, and is not looking; for simulations.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Absent;
+/// An operator who has everything in place and is not looking; may ask to pause and to abort through a [`Watch`].
+#[derive(Clone, Copy)]
+pub struct Unattended<'a>(pub &'a dyn Watch);
 
-impl Watch for Absent {
-    fn progress(&self, _stage: &str, _done: u64, _total: u64) {}
+impl Watch for Unattended<'_> {
+    fn progress(&self, stage: &str, done: u64, total: u64) {
+        self.0.progress(stage, done, total);
+    }
     fn cancelled(&self) -> bool {
-        false
+        self.0.cancelled()
+    }
+    fn urgent(&self) -> bool {
+        self.0.urgent()
     }
 }
 
-impl Operator for Absent {
+impl Operator for Unattended<'_> {
     fn request(&self) -> Request {
-        Request::Go
+        if self.0.urgent() {
+            Request::Abort
+        } else if self.0.cancelled() {
+            Request::Pause
+        } else {
+            Request::Go
+        }
     }
     fn confirm(&self, _question: &str) -> Result<()> {
         Ok(())

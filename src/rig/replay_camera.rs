@@ -2,8 +2,7 @@
 
 use super::{Camera, CapturedFrame, Shot};
 use crate::base::{Context, Error, Result};
-use crate::session::{CameraFacts, FrameRecord, SessionFolder};
-use sha2::Digest;
+use crate::session::{CameraFacts, FrameRecord, SessionFolder, sha256};
 use std::path::Path;
 
 /// Plays back the frames of a session, each at most once, by kind, configuration, exposure and repeat.
@@ -55,7 +54,8 @@ impl Camera for ReplayCamera {
                 && f.kind == shot.kind
                 && f.config == shot.config
                 && f.repeat == shot.repeat
-                && (f.exposure_ms - shot.exposure_ms).abs() <= 1e-6 * shot.exposure_ms
+                && f.visit == shot.visit
+                && (f.asked_ms() - shot.exposure_ms).abs() <= 1e-6 * shot.exposure_ms
         });
         let (record, used) = found.ok_or_else(|| {
             Error::new(format!(
@@ -71,10 +71,7 @@ impl Camera for ReplayCamera {
         let path = self.session.frame_path(&record.file);
         let bytes =
             std::fs::read(&path).context(|| format!("{} cannot be read", path.display()))?;
-        let hash: String = sha2::Sha256::digest(&bytes)
-            .iter()
-            .map(|b| format!("{b:02x}"))
-            .collect();
+        let hash = sha256(&bytes);
         if hash != record.sha256 {
             return Err(Error::new(format!(
                 "{} is damaged: its SHA-256 is {hash}, the journal says {}",

@@ -1,15 +1,16 @@
 //! Whole captures on the controller model: in process, over a pseudo-terminal, or from a recorded dialogue.
 
-use super::capture::{self, CaptureOptions, Summary};
+use super::capture::{Capture, CaptureOptions, Summary};
 use super::description::{Board, Homing, RigDescription};
-use super::machine::{Connection, Prompt};
+use super::machine::Connection;
 use super::model::{Flavor, GrblModel, ModelOptions};
+use super::operator::{Operator, Unattended};
 use super::replay::Replay;
 use super::serial::SerialTransport;
 use super::simulator::{ModelTransport, PtySimulator};
 use super::transport::{SystemClock, VirtualClock};
 use super::wire_log::WireEntry;
-use super::{Camera, Transport};
+use super::{Camera, Judge, Transport};
 use crate::base::{Error, Result, Watch};
 use crate::session::Plan;
 use std::collections::BTreeMap;
@@ -60,7 +61,7 @@ pub fn in_process_connection(
 /// camera's.
 ///
 /// # Errors
-/// As [`capture::run`].
+/// As [`Capture::start`].
 pub fn capture_in_process(
     description: &RigDescription,
     plan: &Plan,
@@ -75,23 +76,23 @@ pub fn capture_in_process(
         .map(|b| (b.name.clone(), model_options(description, b)))
         .collect();
     let (_, connection) = in_process_connection(models);
-    capture::run(
+    Capture {
         description,
         plan,
         connection,
         camera,
-        out,
-        options,
-        &mut |_| Ok(()),
-        watch,
-    )
+        judge: None,
+        operator: &Unattended(watch),
+        options: options.clone(),
+    }
+    .start(out)
 }
 
 /// Runs a whole capture over pseudo-terminals and the real serial code; the simulated controllers and the settle and
 /// warm-up times run `speed` times as fast as real time.
 ///
 /// # Errors
-/// As [`capture::run`], or when no pseudo-terminal can be had.
+/// As [`Capture::start`], or when no pseudo-terminal can be had.
 pub fn capture_over_pty(
     description: &RigDescription,
     plan: &Plan,
@@ -116,32 +117,32 @@ pub fn capture_over_pty(
         clock: Arc::new(SystemClock::new()),
         wait_scale: 1.0 / speed,
     };
-    capture::run(
+    Capture {
         description,
         plan,
         connection,
         camera,
-        out,
-        options,
-        &mut |_| Ok(()),
-        watch,
-    )
+        judge: None,
+        operator: &Unattended(watch),
+        options: options.clone(),
+    }
+    .start(out)
 }
 
 /// Runs a capture against a recorded dialogue (a session's `wire.jsonl`), byte for byte; the dialogue must be used up.
 ///
 /// # Errors
-/// As [`capture::run`], and when the dialogue diverges or is not used up.
+/// As [`Capture::start`], and when the dialogue diverges or is not used up.
 #[allow(clippy::too_many_arguments)]
 pub fn capture_from_replay(
     description: &RigDescription,
     plan: &Plan,
     entries: Vec<WireEntry>,
     camera: &mut dyn Camera,
+    judge: Option<Box<dyn Judge>>,
     out: &Path,
     options: &CaptureOptions,
-    prompt: &mut Prompt,
-    watch: &dyn Watch,
+    operator: &dyn Operator,
 ) -> Result<Summary> {
     let replay = Replay::new(entries);
     let connection = Connection {
@@ -149,17 +150,17 @@ pub fn capture_from_replay(
         clock: replay.clock(),
         wait_scale: 1.0,
     };
-    let summary = capture::run(
+    let summary = Capture {
         description,
         plan,
         connection,
         camera,
-        out,
-        options,
-        prompt,
-        watch,
-    )?;
-    if summary.finished {
+        judge,
+        operator,
+        options: options.clone(),
+    }
+    .start(out)?;
+    if summary.finished() {
         replay.finish()?;
     }
     Ok(summary)

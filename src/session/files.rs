@@ -43,6 +43,20 @@ pub fn write_atomic(path: &Path, content: &[u8]) -> Result<()> {
     written.context(what)
 }
 
+/// SHA-256, hexadecimal.
+pub fn sha256(bytes: &[u8]) -> String {
+    use sha2::Digest;
+    sha2::Sha256::digest(bytes)
+        .iter()
+        .map(|b| format!("{b:02x}"))
+        .collect()
+}
+
+/// True for the name of a file that [`write_atomic`] did not finish.
+pub fn is_temporary(name: &str) -> bool {
+    name.starts_with('.') && name.ends_with(".part")
+}
+
 /// Writes a file that must not exist yet (the camera's frames): whole, fsynced, never over an old one.
 ///
 /// # Errors

@@ -1,7 +1,7 @@
 //! The journal: one fsynced line per event, append-only; a torn last line is what a crash leaves and is tolerated.
 
+use super::Configuration;
 use super::plan::ConfigurationRow;
-use super::{Configuration, files};
 use crate::base::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
@@ -146,6 +146,7 @@ impl Journal {
             .create_new(true)
             .open(path)
             .context(|| format!("journal {} cannot be created", path.display()))?;
+        own(&file, path)?;
         Ok(Self {
             file,
             path: path.to_owned(),
@@ -153,27 +154,29 @@ impl Journal {
         })
     }
 
-    /// Opens the journal of an interrupted session for more events, cutting off a torn last line.
+    /// Opens the journal of an interrupted session for more events, cutting off a torn last line; also what it holds.
     ///
     /// # Errors
     /// When it cannot be opened or a line other than the last is damaged.
-    pub fn reopen(path: &Path) -> Result<Self> {
+    pub fn reopen(path: &Path) -> Result<(Self, Vec<Entry>)> {
         let what = || format!("journal {} cannot be opened", path.display());
         let mut file = OpenOptions::new()
             .read(true)
             .write(true)
             .open(path)
             .context(what)?;
+        own(&file, path)?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).context(what)?;
         let (entries, whole) = parse(&bytes).context(|| format!("journal {}", path.display()))?;
         file.set_len(whole as u64).context(what)?;
         file.seek(std::io::SeekFrom::End(0)).context(what)?;
-        Ok(Self {
+        let journal = Self {
             file,
             path: path.to_owned(),
             next: entries.len() as u64,
-        })
+        };
+        Ok((journal, entries))
     }
 
     /// Appends one event and waits until it is on the disk.
@@ -202,6 +205,19 @@ impl Journal {
         self.next += 1;
         Ok(())
     }
+}
+
+/// One writer per journal: held until the file is closed, whatever ends the process.
+fn own(file: &File, path: &Path) -> Result<()> {
+    use rustix::fs::{FlockOperation, flock};
+    flock(file, FlockOperation::NonBlockingLockExclusive)
+        .context(|| {
+            format!(
+                "journal {} is being written by another process",
+                path.display()
+            )
+        })
+        .map_err(|e| e.with_hint("a capture into this session is running; wait for it or stop it"))
 }
 
 /// Reads a journal; a torn last line (no newline at its end) is left out.
@@ -261,16 +277,6 @@ impl<'de> Deserialize<'de> for Configuration {
     }
 }
 
-/// Writes the bytes of a frame and returns its hash; see [`files::write_new`].
-pub(super) fn store_frame(path: &Path, bytes: &[u8]) -> Result<String> {
-    use sha2::Digest;
-    files::write_new(path, bytes)?;
-    Ok(sha2::Sha256::digest(bytes)
-        .iter()
-        .map(|b| format!("{b:02x}"))
-        .collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -299,12 +305,20 @@ mod tests {
         for n in 0..3 {
             journal.append(f64::from(n), frame(n)).unwrap();
         }
+        drop(journal);
         let bytes = std::fs::read(&path).unwrap();
         for cut in 0..=bytes.len() {
             std::fs::write(&path, &bytes[..cut]).unwrap();
             let lines = bytes[..cut].iter().filter(|&&b| b == b'\n').count();
             assert_eq!(read_journal(&path).unwrap().len(), lines, "cut at {cut}");
-            let mut again = Journal::reopen(&path).unwrap();
+            let (mut again, entries) = Journal::reopen(&path).unwrap();
+            assert_eq!(entries.len(), lines);
+            assert!(
+                Journal::reopen(&path)
+                    .unwrap_err()
+                    .report()
+                    .contains("another process")
+            );
             again.append(9.0, Event::Finished).unwrap();
             let entries = read_journal(&path).unwrap();
             assert_eq!(entries.len(), lines + 1);

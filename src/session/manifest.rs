@@ -1,6 +1,6 @@
 //! The session folder and its manifest.
 
-use super::journal::{self, Event, FrameKind, FrameRecord, Journal};
+use super::journal::{self, Entry, Event, FrameKind, FrameRecord, Journal};
 use super::{Configuration, Plan, files};
 use crate::base::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
@@ -98,12 +98,7 @@ impl SessionFolder {
         plan: &Plan,
         rig_toml: &str,
     ) -> Result<(Self, Journal)> {
-        if root.join("session.json").exists() {
-            return Err(
-                Error::new(format!("{} already holds a session", root.display()))
-                    .with_hint("a session is never overwritten; choose another folder"),
-            );
-        }
+        Self::refuse_existing(root)?;
         std::fs::create_dir_all(root.join("frames"))
             .context(|| format!("{} cannot be created", root.display()))?;
         let session = Self {
@@ -111,11 +106,84 @@ impl SessionFolder {
         };
         files::write_atomic(&root.join("plan.toml"), plan.to_toml()?.as_bytes())?;
         files::write_atomic(&root.join("rig.toml"), rig_toml.as_bytes())?;
+        // Left by a start that was cut short before there was a session.
+        let leftover = session.journal_path();
+        if std::fs::metadata(&leftover).is_ok_and(|m| m.len() == 0) {
+            std::fs::remove_file(&leftover)
+                .context(|| format!("{} cannot be replaced", leftover.display()))?;
+        }
         let journal = Journal::create(&session.journal_path())?;
         let text = serde_json::to_string_pretty(manifest)
             .context(|| "session manifest cannot be written")?;
         files::write_atomic(&root.join("session.json"), (text + "\n").as_bytes())?;
         Ok((session, journal))
+    }
+
+    /// Passes where a new session may be laid out.
+    ///
+    /// # Errors
+    /// The folder holds a session already, finished or not.
+    pub fn refuse_existing(root: &Path) -> Result<()> {
+        if !root.join("session.json").exists() {
+            return Ok(());
+        }
+        Err(Error::new(format!("{} already holds a session", root.display())).with_hint(
+            "a session is never overwritten: go on with it (`goniofit capture --resume DIR`) or choose another folder",
+        ))
+    }
+
+    /// Opens an interrupted session for more frames; also what its journal holds. Files in `frames/` that the journal
+    /// does not know (a shot was cut short) are moved to `frames/unjournaled/`; nothing is deleted but half-written
+    /// temporary files.
+    ///
+    /// # Errors
+    /// It is no session, another process writes it, its journal is damaged, or a journaled frame is missing.
+    pub fn resume(root: &Path) -> Result<(Self, Journal, Vec<Entry>)> {
+        let session = Self::open(root)?;
+        let (journal, entries) = Journal::reopen(&session.journal_path())?;
+        let mut known = std::collections::BTreeSet::new();
+        for entry in &entries {
+            if let Event::Frame(record) = &entry.event {
+                let path = session.frame_path(&record.file);
+                if !std::fs::metadata(&path).is_ok_and(|m| m.len() > 0) {
+                    return Err(Error::new(format!(
+                        "{} is missing, but the journal has it",
+                        path.display()
+                    ))
+                    .with_hint(
+                        "restore the file from a copy, or capture again into a new folder",
+                    ));
+                }
+                known.insert(record.file.clone());
+            }
+        }
+        session.set_aside(&known)?;
+        Ok((session, journal, entries))
+    }
+
+    fn set_aside(&self, known: &std::collections::BTreeSet<String>) -> Result<()> {
+        let frames = self.root.join("frames");
+        let what = || format!("{} cannot be tidied", frames.display());
+        std::fs::create_dir_all(&frames).context(what)?;
+        for file in std::fs::read_dir(&frames).context(what)? {
+            let file = file.context(what)?;
+            let name = file.file_name().to_string_lossy().into_owned();
+            if known.contains(&name) || file.file_type().context(what)?.is_dir() {
+                continue;
+            }
+            if files::is_temporary(&name) {
+                std::fs::remove_file(file.path()).context(what)?;
+                continue;
+            }
+            let aside = frames.join("unjournaled");
+            std::fs::create_dir_all(&aside).context(what)?;
+            let place = (0..)
+                .map(|n| aside.join(format!("{n}_{name}")))
+                .find(|p| !p.exists())
+                .unwrap_or_else(|| aside.join(&name));
+            std::fs::rename(file.path(), place).context(what)?;
+        }
+        Ok(())
     }
 
     /// Opens an existing session.
@@ -203,7 +271,7 @@ impl SessionFolder {
             .collect())
     }
 
-    /// Stores a frame's bytes and journals it. `record.sha256` is filled in here.
+    /// Stores a frame's bytes and journals it; returns the record with `sha256` filled in.
     ///
     /// # Errors
     /// When a file of that name exists, or the disk refuses; the shot then does not count.
@@ -213,9 +281,11 @@ impl SessionFolder {
         elapsed_s: f64,
         mut record: FrameRecord,
         bytes: &[u8],
-    ) -> Result<()> {
-        record.sha256 = journal::store_frame(&self.frame_path(&record.file), bytes)?;
-        journal.append(elapsed_s, Event::Frame(record))
+    ) -> Result<FrameRecord> {
+        record.sha256 = files::sha256(bytes);
+        files::write_new(&self.frame_path(&record.file), bytes)?;
+        journal.append(elapsed_s, Event::Frame(record.clone()))?;
+        Ok(record)
     }
 }
 

@@ -21,6 +21,7 @@ mod plan;
 mod projection;
 
 pub use dng::{BitDepth, CfaPattern, DngImage, write_dng};
+pub use files::sha256;
 pub use journal::{Entry, Event, Exposedness, FrameKind, FrameRecord, Journal, read_journal};
 pub use manifest::{CameraFacts, Manifest, Provenance, SessionFolder, WhiteReference};
 pub use measurements::{Intensity, Measurements};
