@@ -2,6 +2,7 @@
 //!
 //! docs/rig.md explains every key; docs/conventions.md every sign.
 
+use super::bodies::Clearance;
 use crate::base::{Context, Result};
 use crate::math::PolarDirection;
 use crate::session::{Configuration, files};
@@ -357,6 +358,8 @@ pub struct RigDescription {
     pub camera: CameraDescription,
     /// The white standard.
     pub white: White,
+    /// The solid parts and the distance they keep; none when the file has no bodies.
+    pub clearance: Option<Clearance>,
     /// The file's text, which goes into the session folder.
     pub text: String,
 }
@@ -368,6 +371,11 @@ impl RigDescription {
     /// The file cannot be read, or as [`RigDescription::from_toml`].
     pub fn read(path: &Path) -> Result<Self> {
         Self::from_toml(&files::read_text(path)?).context(|| format!("rig {}", path.display()))
+    }
+
+    /// True when the file says which solid parts there are; without bodies nothing keeps arms from meeting.
+    pub fn clearance_is_checked(&self) -> bool {
+        self.clearance.is_some()
     }
 
     /// The axis of this name.

@@ -8,7 +8,9 @@
 //! ```
 
 mod board_check;
+mod bodies;
 pub mod capture;
+mod clearance;
 mod description;
 mod devices;
 mod drivers;
@@ -27,12 +29,16 @@ mod serial;
 mod shots;
 pub mod simulated;
 mod simulator;
+mod tour;
 mod transport;
+mod travel;
 mod utc;
 #[cfg(feature = "uvc")]
 mod uvc;
 mod wire_log;
 
+pub use bodies::{Body, Carrier, Clearance};
+pub use clearance::Contact;
 pub use description::{
     Axis, AxisName, Board, CameraDescription, Homing, Lamp, LampOutput, LightSource, Metering,
     MotorAxis, Port, Protocol, RigDescription, White,
@@ -52,7 +58,9 @@ pub use replay_camera::ReplayCamera;
 pub use serial::SerialTransport;
 pub use shots::{History, PlannedShot};
 pub use simulator::{ModelTransport, PtySimulator, SharedModel};
+pub use tour::Tour;
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
+pub use travel::ControllerLimits;
 #[cfg(feature = "uvc")]
 pub use uvc::UvcCamera;
 pub use wire_log::{

@@ -1,5 +1,6 @@
 //! The rig file: from TOML to a checked [`RigDescription`].
 
+use super::bodies::{self, BodyFile, ClearanceFile};
 use super::description::{
     Axis, AxisName, Board, CameraDescription, Lamp, LampOutput, LightSource, MotorAxis, Port,
     Protocol, RigDescription, White,
@@ -56,6 +57,9 @@ struct RigFile {
     light: LightSource,
     camera: CameraDescription,
     white: White,
+    clearance: Option<ClearanceFile>,
+    #[serde(default)]
+    bodies: Vec<BodyFile>,
 }
 
 impl RigDescription {
@@ -111,6 +115,7 @@ impl RigDescription {
             light: file.light,
             camera: file.camera,
             white: file.white,
+            clearance: bodies::checked(file.clearance, file.bodies)?,
             text: text.to_owned(),
         };
         rig.check()?;
