@@ -47,7 +47,7 @@ pub use path::Leg;
 pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;
 pub use serial::SerialTransport;
-pub use simulator::{ModelTransport, PtySimulator, SharedModel};
+pub use simulator::{ByteModel, ModelTransport, PtySimulator, SharedDevice, SharedModel};
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
 #[cfg(feature = "uvc")]
 pub use uvc::UvcCamera;
