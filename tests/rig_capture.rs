@@ -101,7 +101,7 @@ fn run_one_board(
         description: rig,
         plan: &plan16(),
         connection,
-        camera: camera,
+        camera,
         judge: None,
         operator: &Unattended(&Unwatched),
         options: CaptureOptions::default(),

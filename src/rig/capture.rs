@@ -175,7 +175,7 @@ impl Capture<'_> {
             in_place: None,
             at: None,
         }
-        .to_the_end()
+        .finish()
     }
 
     fn manifest(&self, rig: &Rig) -> Result<Manifest> {
@@ -269,7 +269,7 @@ impl Loop<'_, '_> {
     }
 
     /// Works until all shots are taken or somebody or something ends it.
-    fn to_the_end(mut self) -> Result<Summary> {
+    fn finish(mut self) -> Result<Summary> {
         let frames_before = self.history.len();
         loop {
             let error = match self.stretch() {

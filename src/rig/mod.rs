@@ -57,7 +57,7 @@ pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;
 pub use serial::SerialTransport;
 pub use shots::{History, PlannedShot};
-pub use simulator::{ModelTransport, PtySimulator, SharedModel};
+pub use simulator::{ByteModel, ModelTransport, PtySimulator, SharedDevice, SharedModel};
 pub use tour::Tour;
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
 pub use travel::ControllerLimits;

@@ -5,6 +5,11 @@ use super::devices::Shot;
 use super::kinematics::AxisAngles;
 use super::shots::{CapturePlan, History, PlannedShot};
 use crate::session::FrameKind;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+
+/// From where to where, bit by bit.
+type Way = ([u64; 5], [u64; 5]);
 
 /// Seconds a frame takes beyond its exposure, before one was taken.
 const OVERHEAD: f64 = 0.0;
@@ -14,6 +19,8 @@ const OVERHEAD: f64 = 0.0;
 pub struct Outlook {
     description: RigDescription,
     shots: Vec<PlannedShot>,
+    /// Ways looked up before: finding one may take a search.
+    ways: RefCell<BTreeMap<Way, f64>>,
     /// Seconds moves were expected to take, and took.
     expected_travel: f64,
     travel: f64,
@@ -28,6 +35,7 @@ impl Outlook {
         Self {
             description: description.clone(),
             shots: plan.outlook(history),
+            ways: RefCell::default(),
             expected_travel: 0.0,
             travel: 0.0,
             frames: 0.0,
@@ -70,9 +78,18 @@ impl Outlook {
         from.map_or(0.0, |from| self.way(from, &to.angles))
     }
 
+    /// Seconds from one place to the other, settling included; a place that cannot be reached fails when it is gone to.
     fn way(&self, from: &AxisAngles, to: &AxisAngles) -> f64 {
-        let _ = (from, to, &self.description);
-        0.0
+        let key = (from.0.map(f64::to_bits), to.0.map(f64::to_bits));
+        let known = self.ways.borrow().get(&key).copied();
+        known.unwrap_or_else(|| {
+            let seconds = self.description.path(from, to).map_or(0.0, |legs| {
+                self.description.legs_seconds(from, &legs, None)
+                    + self.description.settle_ms_after(from, &legs) / 1000.0
+            });
+            self.ways.borrow_mut().insert(key, seconds);
+            seconds
+        })
     }
 
     /// Seconds to the end; before the first frame by the rig file alone.
@@ -90,7 +107,9 @@ impl Outlook {
         let (mut seconds, mut lamp, mut at) = (0.0, self.frames > 0.0, None::<&PlannedShot>);
         for planned in &self.shots {
             if let Some(at) = at {
-                seconds += slower * self.way(&at.angles, &planned.angles);
+                if at.angles != planned.angles {
+                    seconds += slower * self.way(&at.angles, &planned.angles);
+                }
             }
             if planned.shot.kind != FrameKind::Dark && !lamp {
                 seconds += self.description.lamp.warm_up_s;

@@ -1,4 +1,4 @@
-//! Whole captures on the controller model: in process, over a pseudo-terminal, or from a recorded dialogue.
+//! Whole captures on device models: in process, over a pseudo-terminal, or from a recorded dialogue.
 
 use super::capture::{Capture, CaptureOptions, Summary};
 use super::description::{Board, Homing, RigDescription};
@@ -7,7 +7,7 @@ use super::model::{Flavor, GrblModel, ModelOptions};
 use super::operator::{Operator, Unattended};
 use super::replay::Replay;
 use super::serial::SerialTransport;
-use super::simulator::{ModelTransport, PtySimulator};
+use super::simulator::{ByteModel, ModelTransport, PtySimulator, SharedDevice};
 use super::transport::{SystemClock, VirtualClock};
 use super::wire_log::WireEntry;
 use super::{Camera, Judge, Transport};
@@ -34,22 +34,62 @@ pub fn model_options(description: &RigDescription, board: &Board) -> ModelOption
     options
 }
 
-/// A virtual clock and a connection to one model per board, in the order of the rig file.
+/// A device of a rig, simulated.
+pub struct SimulatedDevice {
+    /// Name of its port in the rig file: a board's, or `lamp`.
+    pub name: String,
+    /// What it is: `grbl`, `grblhal`.
+    pub kind: &'static str,
+    /// The device.
+    pub model: Box<dyn ByteModel>,
+}
+
+impl SimulatedDevice {
+    /// A GRBL board.
+    pub fn grbl(name: &str, options: ModelOptions) -> Self {
+        Self {
+            name: name.to_owned(),
+            kind: match options.flavor {
+                Flavor::Grbl => "grbl",
+                Flavor::GrblHal => "grblhal",
+            },
+            model: Box::new(GrblModel::new(options)),
+        }
+    }
+}
+
+/// A model of every device of a rig file.
+pub fn device_models(description: &RigDescription) -> Vec<SimulatedDevice> {
+    let boards = description.boards.iter();
+    boards
+        .map(|board| SimulatedDevice::grbl(&board.name, model_options(description, board)))
+        .collect()
+}
+
+/// A virtual clock and a connection to one GRBL model per board, in the order of the rig file.
 pub fn in_process_connection(
     models: Vec<(String, ModelOptions)>,
 ) -> (Arc<VirtualClock>, Connection<'static>) {
+    let models = models.into_iter().map(|(name, options)| {
+        let model: SharedDevice = Arc::new(Mutex::new(GrblModel::new(options)));
+        (name, model)
+    });
+    connection_to(models)
+}
+
+/// A virtual clock and a connection to these devices, by the names of their ports.
+pub fn connection_to(
+    devices: impl IntoIterator<Item = (String, SharedDevice)>,
+) -> (Arc<VirtualClock>, Connection<'static>) {
     let clock = Arc::new(VirtualClock::new());
-    let models: BTreeMap<String, Arc<Mutex<GrblModel>>> = models
-        .into_iter()
-        .map(|(name, options)| (name, Arc::new(Mutex::new(GrblModel::new(options)))))
-        .collect();
+    let devices: BTreeMap<String, SharedDevice> = devices.into_iter().collect();
     let shared = clock.clone();
     let connection = Connection {
-        open: Box::new(move |board| {
-            let model = models.get(&board.name).ok_or_else(|| {
-                Error::new(format!("no simulated board is named '{}'", board.name))
+        open: Box::new(move |port| {
+            let device = devices.get(&port.name).ok_or_else(|| {
+                Error::new(format!("no simulated device is named '{}'", port.name))
             })?;
-            Ok(Box::new(ModelTransport::new(model.clone(), shared.clone())) as Box<dyn Transport>)
+            Ok(Box::new(ModelTransport::new(device.clone(), shared.clone())) as Box<dyn Transport>)
         }),
         clock: clock.clone(),
         wait_scale: 1.0,
@@ -57,7 +97,7 @@ pub fn in_process_connection(
     (clock, connection)
 }
 
-/// Runs a whole capture in process: one controller model per board on a virtual clock. No real time passes but the
+/// Runs a whole capture in process: a model of every device on a virtual clock. No real time passes but the
 /// camera's.
 ///
 /// # Errors
@@ -70,12 +110,11 @@ pub fn capture_in_process(
     options: &CaptureOptions,
     watch: &dyn Watch,
 ) -> Result<Summary> {
-    let models = description
-        .boards
-        .iter()
-        .map(|b| (b.name.clone(), model_options(description, b)))
-        .collect();
-    let (_, connection) = in_process_connection(models);
+    let devices = device_models(description).into_iter().map(|simulated| {
+        let device: SharedDevice = Arc::new(Mutex::new(simulated.model));
+        (simulated.name, device)
+    });
+    let (_, connection) = connection_to(devices);
     Capture {
         description,
         plan,
@@ -88,7 +127,7 @@ pub fn capture_in_process(
     .start(out)
 }
 
-/// Runs a whole capture over pseudo-terminals and the real serial code; the simulated controllers and the settle and
+/// Runs a whole capture over pseudo-terminals and the real serial code; the simulated devices and the settle and
 /// warm-up times run `speed` times as fast as real time.
 ///
 /// # Errors
@@ -103,15 +142,14 @@ pub fn capture_over_pty(
     watch: &dyn Watch,
 ) -> Result<Summary> {
     let mut simulators = BTreeMap::new();
-    for board in &description.boards {
-        let model = GrblModel::new(model_options(description, board));
-        simulators.insert(board.name.clone(), PtySimulator::spawn(model, speed, None)?);
+    for device in device_models(description) {
+        let simulator = PtySimulator::spawn(device.model, speed, None)?;
+        simulators.insert(device.name, simulator);
     }
     let connection = Connection {
         open: Box::new(|board| {
-            let path = simulators
-                .get(&board.name)
-                .map_or(board.path.as_str(), PtySimulator::path);
+            let simulator = simulators.get(&board.name);
+            let path = simulator.map_or(board.path.as_str(), |s| s.path());
             Ok(Box::new(SerialTransport::open(path, board.baud, board.dtr)?) as Box<dyn Transport>)
         }),
         clock: Arc::new(SystemClock::new()),

@@ -1,4 +1,4 @@
-//! The controller model behind a transport: in process on a virtual clock, or on a real pseudo-terminal.
+//! A device model behind a transport: in process on a virtual clock, or on a real pseudo-terminal.
 
 use super::model::GrblModel;
 use super::transport::{Clock, Transport, VirtualClock, duration, timed_out};
@@ -11,19 +11,73 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-/// A model shared between its transport and whoever looks at it.
+/// A device as a wire sees it: bytes and the time go in, bytes come out. Times never go backwards.
+pub trait ByteModel: Send {
+    /// Takes bytes that arrive at time `now`, seconds.
+    fn receive(&mut self, bytes: &[u8], now: f64);
+
+    /// What has been sent by time `now`.
+    fn take_output(&mut self, now: f64) -> Vec<u8>;
+
+    /// The next time at which something happens by itself, if anything will.
+    fn next_event(&self) -> Option<f64>;
+
+    /// True when the device has disappeared.
+    fn is_gone(&self) -> bool;
+}
+
+impl ByteModel for GrblModel {
+    fn receive(&mut self, bytes: &[u8], now: f64) {
+        Self::receive(self, bytes, now);
+    }
+
+    fn take_output(&mut self, now: f64) -> Vec<u8> {
+        Self::take_output(self, now)
+    }
+
+    fn next_event(&self) -> Option<f64> {
+        Self::next_event(self)
+    }
+
+    fn is_gone(&self) -> bool {
+        Self::is_gone(self)
+    }
+}
+
+impl ByteModel for Box<dyn ByteModel> {
+    fn receive(&mut self, bytes: &[u8], now: f64) {
+        self.as_mut().receive(bytes, now);
+    }
+
+    fn take_output(&mut self, now: f64) -> Vec<u8> {
+        self.as_mut().take_output(now)
+    }
+
+    fn next_event(&self) -> Option<f64> {
+        self.as_ref().next_event()
+    }
+
+    fn is_gone(&self) -> bool {
+        self.as_ref().is_gone()
+    }
+}
+
+/// A GRBL model shared between its transport and whoever looks at it.
 pub type SharedModel = Arc<Mutex<GrblModel>>;
+
+/// Any model shared between its transport and whoever looks at it.
+pub type SharedDevice = Arc<Mutex<dyn ByteModel>>;
 
 /// A cable to a model in the same process; waiting on it moves the virtual clock.
 pub struct ModelTransport {
-    model: SharedModel,
+    model: SharedDevice,
     clock: Arc<VirtualClock>,
     pending: Vec<u8>,
 }
 
 impl ModelTransport {
     /// A cable to `model`, in the time of `clock`.
-    pub fn new(model: SharedModel, clock: Arc<VirtualClock>) -> Self {
+    pub fn new(model: SharedDevice, clock: Arc<VirtualClock>) -> Self {
         Self {
             model,
             clock,
@@ -31,7 +85,7 @@ impl ModelTransport {
         }
     }
 
-    fn model(&self) -> std::sync::MutexGuard<'_, GrblModel> {
+    fn model(&self) -> std::sync::MutexGuard<'_, dyn ByteModel + 'static> {
         self.model
             .lock()
             .expect("the model's lock is never poisoned")
@@ -76,20 +130,20 @@ impl Transport for ModelTransport {
 }
 
 /// A model that lives on a pseudo-terminal, so that the real serial code can talk to it. Stops when dropped.
-pub struct PtySimulator {
+pub struct PtySimulator<M = GrblModel> {
     path: String,
-    model: SharedModel,
+    model: Arc<Mutex<M>>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl PtySimulator {
+impl<M: ByteModel + 'static> PtySimulator<M> {
     /// Starts a thread that serves `model`; its time runs `speed` times as fast as real time. Traffic goes to `log`,
     /// in the model's time, under the name `board`.
     ///
     /// # Errors
     /// When the system has no pseudo-terminal left or the speed is not positive.
-    pub fn spawn(model: GrblModel, speed: f64, log: Option<(WireLog, String)>) -> Result<Self> {
+    pub fn spawn(model: M, speed: f64, log: Option<(WireLog, String)>) -> Result<Self> {
         if !(1e-3..=1e4).contains(&speed) {
             return Err(Error::new(format!(
                 "simulator speed is {speed}, expected 0.001 to 10000"
@@ -122,7 +176,7 @@ impl PtySimulator {
     }
 
     /// The model, to look at or to disturb.
-    pub fn model(&self) -> SharedModel {
+    pub fn model(&self) -> Arc<Mutex<M>> {
         self.model.clone()
     }
 
@@ -132,7 +186,7 @@ impl PtySimulator {
     }
 }
 
-impl Drop for PtySimulator {
+impl<M> Drop for PtySimulator<M> {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::SeqCst);
         if let Some(thread) = self.thread.take() {
@@ -144,7 +198,7 @@ impl Drop for PtySimulator {
 
 fn serve(
     master: &mut TTYPort,
-    model: &SharedModel,
+    model: &Mutex<impl ByteModel>,
     speed: f64,
     log: Option<(WireLog, String)>,
     stop: &AtomicBool,
