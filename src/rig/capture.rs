@@ -327,6 +327,11 @@ impl Loop<'_, '_> {
 
     /// Homes if need be and takes shots until none is missing.
     fn stretch(&mut self) -> Step {
+        if self.plan.next(&self.history).is_none() {
+            // Only the last line was missing: nothing needs to move.
+            self.journal.append(self.elapsed(), Event::Finished)?;
+            return Ok(());
+        }
         if !self.rig.is_homed() || !self.rig.lamp_is_on() {
             if !self.rig.is_homed() {
                 let operator = self.operator;

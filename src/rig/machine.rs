@@ -458,7 +458,7 @@ impl<'a> Rig<'a> {
         Ok(())
     }
 
-    /// Moves the axes that have a parking place there.
+    /// Moves the axes that have a parking place there; the others stay, inside their limits.
     ///
     /// # Errors
     /// As [`Rig::move_to`].
@@ -470,8 +470,13 @@ impl<'a> Rig<'a> {
             Some(at) => at,
             None => self.angles()?,
         };
-        for (name, angle) in &self.description.park_deg {
-            angles.0[*name as usize] = *angle;
+        for name in AxisName::ALL {
+            if let Axis::Motor(motor) = self.description.axis(name) {
+                // Switches may lie beyond the limits.
+                let stays = angles.get(name).clamp(motor.min_deg, motor.max_deg);
+                let parked = self.description.park_deg.get(&name).copied();
+                angles.0[name as usize] = parked.unwrap_or(stays);
+            }
         }
         match self.move_to(&angles) {
             Ok(_) => Ok(()),
