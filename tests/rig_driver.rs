@@ -5,8 +5,8 @@
 
 use goniofit::base::Unwatched;
 use goniofit::rig::{
-    Clock, Fault, FaultKind, Flavor, Grbl, GrblModel, ModelOptions, ModelTransport, SharedModel,
-    Target, Transport, VirtualClock,
+    Clock, Fault, FaultKind, Flavor, Grbl, GrblModel, Light, ModelOptions, ModelTransport, Motion,
+    SharedModel, Target, Transport, VirtualClock,
 };
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -73,12 +73,12 @@ fn x(units: f64) -> [Target; 1] {
         letter: 'X',
         units,
         tolerance: 0.02,
-        speed: 30.0,
+        speed: 10.0,
     }]
 }
 
 fn go(grbl: &mut Grbl, units: f64) -> goniofit::base::Result<Vec<f64>> {
-    grbl.start_move(&x(units), 600.0)?;
+    grbl.start_move(&x(units))?;
     grbl.finish_move(&x(units), 60.0)
 }
 
@@ -193,7 +193,7 @@ fn a_move_before_homing_is_refused_without_a_byte() {
     let bench = Bench::new(ModelOptions::rig(Flavor::Grbl));
     let mut grbl = bench.connect().unwrap();
     let before = bench.sent().len();
-    let error = grbl.start_move(&x(-5.0), 600.0).unwrap_err().report();
+    let error = grbl.start_move(&x(-5.0)).unwrap_err().report();
     assert!(error.contains("position is not known"), "{error}");
     assert_eq!(bench.sent().len(), before);
 }
@@ -202,13 +202,16 @@ fn a_move_before_homing_is_refused_without_a_byte() {
 fn not_a_number_is_never_sent() {
     let (bench, mut grbl) = Bench::homed(ModelOptions::rig(Flavor::Grbl));
     let before = bench.sent().len();
-    for (units, feed) in [
-        (f64::NAN, 600.0),
-        (f64::INFINITY, 600.0),
+    for (units, speed) in [
+        (f64::NAN, 10.0),
+        (f64::INFINITY, 10.0),
         (-5.0, f64::NAN),
         (-5.0, 0.0),
+        (-5.0, f64::INFINITY),
     ] {
-        assert!(grbl.start_move(&x(units), feed).is_err());
+        let [target] = x(units);
+        let target = Target { speed, ..target };
+        assert!(grbl.start_move(&[target]).is_err());
     }
     assert_eq!(bench.sent().len(), before);
 }
@@ -217,17 +220,17 @@ fn not_a_number_is_never_sent() {
 fn an_alarm_in_the_middle_of_a_move_voids_the_ok_and_the_position() {
     for flavor in [Flavor::Grbl, Flavor::GrblHal] {
         let (bench, mut grbl) = Bench::homed(faulty(flavor, FaultKind::Alarm(1)));
-        grbl.lamp_on(500.0).unwrap();
+        grbl.switch_on(500.0).unwrap();
         let error = go(&mut grbl, -50.0).unwrap_err().report();
         assert!(
             error.contains("ALARM:1") && error.contains("limit switch was hit"),
             "{error}"
         );
         assert!(!grbl.is_homed());
-        let done = grbl.make_safe().unwrap();
+        let done = grbl.make_safe(false).unwrap();
         assert!(done.contains("home before moving"), "{done}");
         assert!(!bench.lamp());
-        assert!(grbl.start_move(&x(-1.0), 600.0).is_err());
+        assert!(grbl.start_move(&x(-1.0)).is_err());
         // And the way back: home again, move again.
         grbl.home().unwrap();
         go(&mut grbl, -3.0).unwrap();
@@ -238,12 +241,12 @@ fn an_alarm_in_the_middle_of_a_move_voids_the_ok_and_the_position() {
 fn a_spontaneous_restart_in_the_middle_of_a_move_is_told_and_unhomes() {
     for flavor in [Flavor::Grbl, Flavor::GrblHal] {
         let (bench, mut grbl) = Bench::homed(faulty(flavor, FaultKind::Reset));
-        grbl.lamp_on(500.0).unwrap();
+        grbl.switch_on(500.0).unwrap();
         let error = go(&mut grbl, -50.0).unwrap_err().report();
         let told = error.contains("restarted by itself") || error.contains("ALARM:11");
         assert!(told, "{error}");
         assert!(!grbl.is_homed());
-        grbl.make_safe().unwrap();
+        grbl.make_safe(false).unwrap();
         assert!(!bench.lamp());
     }
 }
@@ -257,7 +260,7 @@ fn a_garbled_reply_stops_motion_and_is_never_guessed() {
         bench.model.lock().unwrap().is_moving(),
         "the move itself was executed"
     );
-    let done = grbl.make_safe().unwrap();
+    let done = grbl.make_safe(false).unwrap();
     assert!(!bench.model.lock().unwrap().is_moving());
     assert!(done.contains("position kept"), "{done}");
 }
@@ -272,7 +275,7 @@ fn a_missing_ok_runs_into_a_time_limit() {
         "{error}"
     );
     assert!(bench.clock.now() - start < 5.0);
-    grbl.make_safe().unwrap();
+    grbl.make_safe(false).unwrap();
     assert!(!bench.model.lock().unwrap().is_moving());
 }
 
@@ -287,7 +290,7 @@ fn a_vanished_board_is_a_disconnect_and_not_a_hang() {
     );
     assert!(!grbl.is_homed());
     assert!(
-        grbl.make_safe()
+        grbl.make_safe(false)
             .unwrap_err()
             .report()
             .contains("check by eye")
@@ -309,7 +312,7 @@ fn a_hold_pressed_by_somebody_is_noticed_while_waiting() {
     let (_bench, mut grbl) = Bench::homed(faulty(Flavor::Grbl, FaultKind::Hold));
     let error = go(&mut grbl, -50.0).unwrap_err().report();
     assert!(error.contains("state Hold:"), "{error}");
-    let done = grbl.make_safe().unwrap();
+    let done = grbl.make_safe(false).unwrap();
     assert!(done.contains("position kept"), "{done}");
 }
 
@@ -317,7 +320,7 @@ fn a_hold_pressed_by_somebody_is_noticed_while_waiting() {
 fn a_controlled_stop_loses_no_steps_and_a_bare_reset_does() {
     for flavor in [Flavor::Grbl, Flavor::GrblHal] {
         let (bench, mut grbl) = Bench::homed(ModelOptions::rig(flavor));
-        grbl.start_move(&x(-100.0), 600.0).unwrap();
+        grbl.start_move(&x(-100.0)).unwrap();
         bench.clock.sleep(3.0);
         let report = grbl.controlled_stop().unwrap();
         assert!(report.position_kept && grbl.is_homed(), "{report}");
@@ -330,7 +333,7 @@ fn a_controlled_stop_loses_no_steps_and_a_bare_reset_does() {
         go(&mut grbl, -5.0).unwrap();
 
         // The negative control: 0x18 alone while moving.
-        grbl.start_move(&x(-100.0), 600.0).unwrap();
+        grbl.start_move(&x(-100.0)).unwrap();
         bench.clock.sleep(1.0);
         bench
             .model
@@ -351,7 +354,7 @@ fn a_target_outside_the_controllers_travel_raises_its_alarm_and_is_recovered() {
         error.contains("ALARM:2") && error.contains("compare the limits"),
         "{error}"
     );
-    let done = grbl.make_safe().unwrap();
+    let done = grbl.make_safe(false).unwrap();
     assert!(done.contains("home before moving"), "{done}");
     grbl.home().unwrap();
 }
@@ -378,7 +381,7 @@ fn an_override_reported_only_during_the_move_is_not_forgotten() {
     // Most reports leave the overrides out: the one report that had them came while the barrier was waited for.
     for flavor in [Flavor::Grbl, Flavor::GrblHal] {
         let (bench, mut grbl) = Bench::homed(ModelOptions::rig(flavor));
-        grbl.start_move(&x(-10.0), 600.0).unwrap();
+        grbl.start_move(&x(-10.0)).unwrap();
         bench
             .model
             .lock()
@@ -387,7 +390,7 @@ fn an_override_reported_only_during_the_move_is_not_forgotten() {
         let error = grbl.finish_move(&x(-10.0), 60.0).unwrap_err().report();
         assert!(error.contains("overrides are [110.0"), "{error}");
         // The reset of the stop puts them back.
-        grbl.make_safe().unwrap();
+        grbl.make_safe(false).unwrap();
         go(&mut grbl, -3.0).unwrap();
     }
 }
@@ -439,7 +442,7 @@ fn a_board_that_talks_without_end_is_no_hang() {
     clock.advance_to(7.0);
     assert!(grbl.status().is_err());
     assert!(grbl.command("$G").is_err());
-    let _ = grbl.make_safe();
+    let _ = grbl.make_safe(false);
     assert!(grbl.controlled_stop().is_err());
     assert!(clock.now() < 60.0, "{}", clock.now());
 }
@@ -447,15 +450,15 @@ fn a_board_that_talks_without_end_is_no_hang() {
 #[test]
 fn the_lamp_is_read_back_and_laser_mode_is_refused() {
     let (bench, mut grbl) = Bench::homed(ModelOptions::rig(Flavor::GrblHal));
-    grbl.check_lamp_settings(800.0).unwrap();
-    grbl.lamp_on(800.0).unwrap();
+    Light::check(&mut grbl, 800.0).unwrap();
+    grbl.switch_on(800.0).unwrap();
     assert!(bench.lamp());
-    grbl.lamp_off().unwrap();
+    grbl.switch_off().unwrap();
     assert!(!bench.lamp());
     let mut options = ModelOptions::rig(Flavor::Grbl);
     options.settings.push((32, 1.0));
-    let grbl = Bench::new(options).connect().unwrap();
-    let error = grbl.check_lamp_settings(800.0).unwrap_err().report();
+    let mut grbl = Bench::new(options).connect().unwrap();
+    let error = Light::check(&mut grbl, 800.0).unwrap_err().report();
     assert!(
         error.contains("laser mode ($32=1)") && error.contains("$32=0"),
         "{error}"
@@ -465,7 +468,7 @@ fn the_lamp_is_read_back_and_laser_mode_is_refused() {
 #[test]
 fn a_dropped_driver_leaves_no_lamp_on_and_nothing_moving() {
     let (bench, mut grbl) = Bench::homed(ModelOptions::rig(Flavor::Grbl));
-    grbl.lamp_on(500.0).unwrap();
+    grbl.switch_on(500.0).unwrap();
     drop(grbl);
     bench
         .model
@@ -475,8 +478,8 @@ fn a_dropped_driver_leaves_no_lamp_on_and_nothing_moving() {
     assert!(!bench.lamp());
 
     let (bench, mut grbl) = Bench::homed(ModelOptions::rig(Flavor::Grbl));
-    grbl.lamp_on(500.0).unwrap();
-    grbl.start_move(&x(-100.0), 600.0).unwrap();
+    grbl.switch_on(500.0).unwrap();
+    grbl.start_move(&x(-100.0)).unwrap();
     drop(grbl);
     let model = bench.model.lock().unwrap();
     assert!(!model.is_moving() && !model.spindle_on());

@@ -5,8 +5,8 @@
 
 use goniofit::base::{Result, Unwatched};
 use goniofit::rig::{
-    Clock, Flavor, Grbl, GrblModel, ModelOptions, ModelTransport, SharedModel, Target, Transport,
-    VirtualClock,
+    Clock, Flavor, Grbl, GrblModel, Light, ModelOptions, ModelTransport, Motion, SharedModel,
+    Target, Transport, VirtualClock,
 };
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -151,7 +151,7 @@ fn x(units: f64) -> [Target; 1] {
         letter: 'X',
         units,
         tolerance: 0.02,
-        speed: 30.0,
+        speed: 10.0,
     }]
 }
 
@@ -206,15 +206,15 @@ fn random_replies_end_in_an_error_or_a_success() {
         if is_told(bounded("home", c, || grbl.home())) {
             homed += 1;
         }
-        let _ = grbl.check_lamp_settings(1000.0);
-        is_told(bounded("lamp", c, || grbl.lamp_on(1000.0)));
+        let _ = Light::check(&mut grbl, 1000.0);
+        is_told(bounded("lamp", c, || grbl.switch_on(1000.0)));
         let done = bounded("move", c, || {
-            grbl.start_move(&x(-5.0), 600.0)?;
+            grbl.start_move(&x(-5.0))?;
             grbl.finish_move(&x(-5.0), 60.0)
         });
         moved += u32::from(is_told(done));
         is_told(bounded("command", c, || grbl.command("$#")));
-        is_told(bounded("safe", c, || grbl.make_safe()));
+        is_told(bounded("safe", c, || grbl.make_safe(false)));
         is_told(bounded("stop", c, || grbl.controlled_stop()));
         bounded("drop", c, || drop(grbl));
     }
@@ -311,7 +311,7 @@ fn over_a_noisy_cable(case: u64, to_board: bool) -> (u32, u32) {
         for target in [-20.0, -3.0, -31.5] {
             all += 1;
             let done = bounded("move", c, || {
-                grbl.start_move(&x(target), 600.0)?;
+                grbl.start_move(&x(target))?;
                 grbl.finish_move(&x(target), 60.0)?;
                 grbl.verify_at(&x(target))
             });
@@ -326,7 +326,7 @@ fn over_a_noisy_cable(case: u64, to_board: bool) -> (u32, u32) {
             );
         }
     }
-    let safe = is_told(bounded("safe", c, || grbl.make_safe()));
+    let safe = is_told(bounded("safe", c, || grbl.make_safe(false)));
     bounded("drop", c, || drop(grbl));
     if safe && !to_board {
         // Bytes from the board are damaged, those to it arrive: what was made safe is safe.

@@ -5,9 +5,9 @@ use goniofit::base::{Error, Result, Unwatched};
 use goniofit::rig::capture::CaptureOptions;
 use goniofit::rig::simulated::{capture_from_replay, capture_over_pty};
 use goniofit::rig::{
-    Camera, CapturedFrame, Fault, FaultKind, Flavor, Grbl, GrblModel, ModelOptions, PtySimulator,
-    ReplayCamera, RigDescription, SerialTransport, Shot, SystemClock, Target, Unattended,
-    read_wire_log,
+    Camera, CapturedFrame, Fault, FaultKind, Flavor, Grbl, GrblModel, Light, ModelOptions, Motion,
+    PtySimulator, ReplayCamera, RigDescription, SerialTransport, Shot, SystemClock, Target,
+    Unattended, read_wire_log,
 };
 use goniofit::session::{CameraFacts, Plan, SessionFolder};
 use std::path::PathBuf;
@@ -38,9 +38,9 @@ fn go(grbl: &mut Grbl, units: f64) -> Result<Vec<f64>> {
         letter: 'B',
         units,
         tolerance: 0.02,
-        speed: 30.0,
+        speed: 50.0,
     }];
-    grbl.start_move(&target, 3000.0)?;
+    grbl.start_move(&target)?;
     grbl.finish_move(&target, 20.0)
 }
 
@@ -51,9 +51,9 @@ fn connect_home_move_and_lamp_over_a_real_port() {
     assert!(grbl.firmware().contains("grblHAL 1.1f"));
     grbl.home().unwrap();
     assert!((go(&mut grbl, -90.0).unwrap()[0] + 90.0).abs() < 0.01);
-    grbl.lamp_on(700.0).unwrap();
+    grbl.switch_on(700.0).unwrap();
     assert!(simulator.model().lock().unwrap().spindle_on());
-    grbl.lamp_off().unwrap();
+    grbl.switch_off().unwrap();
     assert!(!simulator.model().lock().unwrap().spindle_on());
     // The next client finds the device still there.
     drop(grbl);
@@ -70,7 +70,11 @@ fn an_alarm_over_a_real_port_is_told_and_made_safe() {
     grbl.home().unwrap();
     let error = go(&mut grbl, -200.0).unwrap_err().report();
     assert!(error.contains("ALARM:1"), "{error}");
-    assert!(grbl.make_safe().unwrap().contains("home before moving"));
+    assert!(
+        grbl.make_safe(false)
+            .unwrap()
+            .contains("home before moving")
+    );
 }
 
 #[test]

@@ -5,7 +5,8 @@
 
 use goniofit::base::Unwatched;
 use goniofit::rig::{
-    Flavor, Grbl, GrblModel, ModelOptions, Replay, Way, WireEntry, parse_wire_log, show_bytes,
+    Flavor, Grbl, GrblModel, Light, ModelOptions, Motion, Replay, Way, WireEntry, parse_wire_log,
+    show_bytes,
 };
 use std::path::PathBuf;
 
@@ -36,7 +37,7 @@ fn start_up_text_is_not_a_reply_and_settings_are_read_back() {
     assert_eq!(grbl.settings()[&132], 200.0);
     assert!(!grbl.is_homed());
 
-    let (replay, grbl) = connected("grblhal_connect");
+    let (replay, mut grbl) = connected("grblhal_connect");
     replay.finish().unwrap();
     assert!(
         grbl.firmware().starts_with("grblHAL 1.1f"),
@@ -44,9 +45,9 @@ fn start_up_text_is_not_a_reply_and_settings_are_read_back() {
         grbl.firmware()
     );
     assert_eq!(grbl.settings()[&134], 200.0);
-    grbl.check_lamp_settings(1000.0).unwrap();
-    assert!(grbl.check_lamp_settings(1001.0).is_err());
-    assert!(grbl.check_lamp_settings(f64::NAN).is_err());
+    Light::check(&mut grbl, 1000.0).unwrap();
+    assert!(Light::check(&mut grbl, 1001.0).is_err());
+    assert!(Light::check(&mut grbl, f64::NAN).is_err());
 }
 
 #[test]

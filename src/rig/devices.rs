@@ -133,6 +133,11 @@ pub trait Motion {
     /// The controller cannot be reached; its lamp may still be on, and its axes may still move.
     fn make_safe(&mut self, at_once: bool) -> Result<String>;
 
+    /// What was not as expected since the last call and was dealt with: why, and how, one line each.
+    fn take_notes(&mut self) -> Vec<String> {
+        Vec::new()
+    }
+
     /// The board's lamp output, if it has one.
     fn lamp(&mut self) -> Option<&mut dyn Light>;
 }

@@ -418,6 +418,14 @@ impl<'a> Rig<'a> {
         Ok(read_back)
     }
 
+    /// What was not as expected since the last call and was dealt with, one line each.
+    pub fn take_notes(&mut self) -> Vec<String> {
+        self.boards
+            .iter_mut()
+            .flat_map(|b| b.take_notes())
+            .collect()
+    }
+
     fn lamp(&mut self) -> Result<&mut dyn Light> {
         if let Some(light) = &mut self.light {
             return Ok(light.as_mut());

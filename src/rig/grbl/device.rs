@@ -1,7 +1,8 @@
-//! The controller as the rig sees it: [`Motion`] and [`Light`] over the dialogue.
+//! The controller as the rig sees it: [`Motion`] over the dialogue.
 
+use super::Grbl;
+use super::fault::Fault;
 use super::motion::LETTERS;
-use super::{Grbl, Obey};
 use crate::base::{Error, Result};
 use crate::rig::description::Homing;
 use crate::rig::devices::{AxisLimits, Light, Motion, Target, Travel};
@@ -18,27 +19,10 @@ impl Grbl<'_> {
             })
     }
 
-    fn setting(&self, number: u16) -> Result<f64> {
+    pub(super) fn setting(&self, number: u16) -> Result<f64> {
         self.settings.get(&number).copied().ok_or_else(|| {
             Error::new(format!("board '{}' does not report ${number}", self.name))
                 .with_hint("the firmware must be Grbl 1.1 or grblHAL, and the cable free of noise")
-        })
-    }
-
-    /// Feed along the path, units per minute, at which no axis exceeds its speed.
-    fn feed(&self, from: &[f64], targets: &[Target]) -> Result<f64> {
-        let (mut squared, mut seconds) = (0.0, 0.0_f64);
-        let mut fastest = 0.0_f64;
-        for target in targets {
-            let way = (target.units - from[self.axis_number(target.letter)?]).abs();
-            squared += way * way;
-            seconds = seconds.max(way / target.speed);
-            fastest = fastest.max(60.0 * target.speed);
-        }
-        Ok(if seconds > 0.0 {
-            (60.0 * f64::sqrt(squared) / seconds).max(1.0)
-        } else {
-            fastest
         })
     }
 }
@@ -53,9 +37,15 @@ impl Motion for Grbl<'_> {
     }
 
     fn dump(&self) -> Vec<String> {
-        let settings = self.settings.iter().map(|(n, v)| format!("${n}={v}"));
-        std::iter::once(self.firmware.clone())
-            .chain(settings)
+        self.said.clone()
+    }
+
+    fn take_notes(&mut self) -> Vec<String> {
+        let notes = self.link.take_notes();
+        let name = &self.name;
+        notes
+            .into_iter()
+            .map(|n| format!("board '{name}': {n}"))
             .collect()
     }
 
@@ -68,11 +58,13 @@ impl Motion for Grbl<'_> {
                     .with_hint("send $13=0"),
             );
         }
-        if homing == Homing::Cycle && self.setting(22)? <= 0.0 {
+        // A number on Grbl, bit flags on grblHAL: bit 0 enables homing.
+        let flags = self.setting(22)?;
+        if homing == Homing::Cycle && (flags as u32) & 1 == 0 {
             return Err(Error::new(format!(
-                "board '{name}' shall be homed with $H but has homing switched off ($22=0)"
+                "board '{name}' shall be homed with $H but has homing switched off ($22={flags})"
             ))
-            .with_hint("send $22=1, or set homing = \"by_hand\" in the rig file"));
+            .with_hint("send $22=1 (an odd number on grblHAL), or set homing = \"by_hand\" in the rig file"));
         }
         Ok(())
     }
@@ -108,11 +100,27 @@ impl Motion for Grbl<'_> {
     }
 
     fn home(&mut self) -> Result<()> {
-        Grbl::home(self)
+        self.moving = true;
+        self.homing = true;
+        let result = self.home_and_prepare();
+        // After an alarm or a restart the cycle is over; after anything else it may still run.
+        self.homing = !matches!(
+            result,
+            Ok(()) | Err(Fault::Alarm { .. } | Fault::Restarted { .. } | Fault::Refused { .. })
+        );
+        self.checked(result)?;
+        self.moving = false;
+        self.homed = true;
+        self.homed_by_switches = true;
+        Ok(())
     }
 
     fn trust_position(&mut self) -> Result<()> {
-        Grbl::trust_position(self)
+        let result = self.unlock_and_prepare();
+        self.checked(result)?;
+        self.homed = true;
+        self.homed_by_switches = false;
+        Ok(())
     }
 
     fn state(&mut self) -> Result<String> {
@@ -120,7 +128,8 @@ impl Motion for Grbl<'_> {
     }
 
     fn positions(&mut self, letters: &[char]) -> Result<Vec<f64>> {
-        let all = self.position()?;
+        let result = self.link.status().and_then(|s| self.position_of(&s));
+        let all = self.checked(result)?;
         letters
             .iter()
             .map(|l| {
@@ -134,58 +143,42 @@ impl Motion for Grbl<'_> {
     }
 
     fn start_move(&mut self, targets: &[Target]) -> Result<()> {
-        let from = self.position()?;
-        let feed = self.feed(&from, targets)?;
-        Grbl::start_move(self, targets, feed)
+        let result = self.begin_move(targets);
+        self.checked(result)
     }
 
     fn finish_move(&mut self, targets: &[Target], timeout: f64) -> Result<Vec<f64>> {
-        Grbl::finish_move(self, targets, timeout)
+        let result = self.end_move(targets, timeout);
+        let positions = self.checked(result)?;
+        self.moving = false;
+        Ok(positions)
     }
 
     fn verify_at(&mut self, targets: &[Target]) -> Result<Vec<f64>> {
-        Grbl::verify_at(self, targets)
+        let result = self
+            .link
+            .full_status()
+            .and_then(|status| self.verified(&status, targets));
+        self.checked(result)
     }
 
     fn may_be_moving(&self) -> bool {
-        Grbl::may_be_moving(self)
+        self.moving
     }
 
     fn may_be_homing(&self) -> bool {
-        Grbl::may_be_homing(self)
+        self.homing
     }
 
     fn brake(&mut self) {
         self.hold();
     }
 
-    fn make_safe(&mut self, _at_once: bool) -> Result<String> {
-        Grbl::make_safe(self)
+    fn make_safe(&mut self, at_once: bool) -> Result<String> {
+        self.stop(at_once)
     }
 
     fn lamp(&mut self) -> Option<&mut dyn Light> {
         Some(self)
-    }
-}
-
-impl Light for Grbl<'_> {
-    fn check(&mut self, power: f64) -> Result<()> {
-        self.check_lamp_settings(power)
-    }
-
-    fn switch_on(&mut self, power: f64) -> Result<()> {
-        self.lamp_on(power)
-    }
-
-    fn switch_off(&mut self) -> Result<()> {
-        // What the operator asked for must not keep the lamp on.
-        let obey = std::mem::replace(&mut self.link.obey, Obey::Nothing);
-        let off = self.lamp_off();
-        self.link.obey = obey;
-        off
-    }
-
-    fn identity(&self) -> String {
-        format!("spindle output of board '{}'", self.name)
     }
 }

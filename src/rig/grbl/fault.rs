@@ -1,6 +1,7 @@
 //! What can go wrong in a dialogue with a controller, and how it is told.
 
 use super::codes::{alarm_meaning, error_meaning};
+use super::replies::may_hide_a_stop;
 use crate::base::Error;
 use crate::rig::wire_log::show_bytes;
 use std::io;
@@ -21,6 +22,8 @@ pub(super) enum Fault {
     Refused { number: u8, line: String },
     /// Bytes that are no reply.
     Garbled { bytes: Vec<u8>, during: String },
+    /// An acknowledged line whose listing lacks what it must have.
+    Incomplete { line: String },
     /// A well-formed reply or state that has no place here.
     Unexpected { what: String, hint: String },
 }
@@ -35,6 +38,21 @@ impl Fault {
         Self::Unexpected {
             what: what.into(),
             hint: hint.into(),
+        }
+    }
+
+    /// Why, in a few words, when noise on the wire explains it and asking again may cure it.
+    pub(super) fn noise(&self) -> Option<String> {
+        match self {
+            Self::Silent { during, seconds } => {
+                Some(format!("no answer within {seconds:.0} s to {during}"))
+            }
+            Self::Garbled { bytes, during } if !may_hide_a_stop(bytes) => Some(format!(
+                "garbled reply {} during {during}",
+                show_bytes(bytes)
+            )),
+            Self::Incomplete { line } => Some(format!("the answer to '{line}' lacks a part")),
+            _ => None,
         }
     }
 
@@ -77,6 +95,10 @@ impl Fault {
                 show_bytes(&bytes)
             ))
             .with_hint("what the board did is unknown; check baud rate, cable and grounding, then start again"),
+            Self::Incomplete { line } => Error::new(format!(
+                "board '{board}': the answer to '{line}' lacks a part"
+            ))
+            .with_hint("the firmware must be Grbl 1.1 or grblHAL, and the cable free of noise"),
             Self::Unexpected { what, hint } => {
                 Error::new(format!("board '{board}': {what}")).with_hint(hint)
             }

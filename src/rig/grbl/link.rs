@@ -1,4 +1,4 @@
-//! Lines over a byte transport: one in flight, unsolicited lines sorted out, every wait bounded and interruptible.
+//! Lines over a byte transport: unsolicited lines sorted out, every wait bounded and interruptible.
 
 use super::fault::Fault;
 use super::replies::Reply;
@@ -8,18 +8,16 @@ use crate::rig::transport::{Clock, Transport};
 use std::io;
 use std::sync::Arc;
 
-/// Seconds between two status requests while waiting for motion.
-const POLL: f64 = 0.25;
-/// Seconds without any status report, while asking for it, after which a controller counts as silent.
-const POLL_SILENCE: f64 = 4.0;
-/// Characters a line may have.
-const MAX_LINE: usize = 79;
 /// Seconds after which a wait looks at its [`Watch`] again.
 const LOOK: f64 = 0.05;
 /// Lines in a row that are still handed out after their deadline; a buffer holds fewer.
 const LATE_LINES: u32 = 512;
 /// Reads in a row after the deadline that may bring bytes and no line end.
 const LATE_READS: u32 = 100;
+/// Damaged or surplus lines in a row that are passed over.
+const NOISE_LINES: u32 = 2;
+/// Notes kept until somebody takes them.
+const MAX_NOTES: usize = 1000;
 
 /// Which requests of the operator end a wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,8 +44,18 @@ pub(super) struct Link<'a> {
     work_offset: Option<Vec<f64>>,
     /// The last overrides reported since the last start, percent: most reports leave them out.
     overrides: Option<[f64; 3]>,
+    /// Alarms and banners so far.
+    pub(super) stops: u32,
+    /// It knows grblHAL's request for a report with all its fields.
+    pub(super) gives_full_reports: bool,
+    /// The last word of a grblHAL on whether its axes are homed.
+    homed: Option<bool>,
     /// Lines handed out in a row after their deadline.
     late_lines: u32,
+    /// Damaged or surplus lines passed over since the last good one.
+    noise_lines: u32,
+    /// What was not as expected and was dealt with.
+    notes: Vec<String>,
 }
 
 impl<'a> Link<'a> {
@@ -66,7 +74,12 @@ impl<'a> Link<'a> {
             halted: false,
             work_offset: None,
             overrides: None,
+            stops: 0,
+            gives_full_reports: false,
+            homed: None,
             late_lines: 0,
+            noise_lines: 0,
+            notes: Vec::new(),
         }
     }
 
@@ -83,6 +96,41 @@ impl<'a> Link<'a> {
     /// The last overrides reported since the last start.
     pub(super) fn overrides(&self) -> Option<[f64; 3]> {
         self.overrides
+    }
+
+    /// The last word of a grblHAL on whether its axes are homed, since the last start.
+    pub(super) fn homed(&self) -> Option<bool> {
+        self.homed
+    }
+
+    /// Keeps a line for whoever asks what was not as expected.
+    pub(super) fn note(&mut self, line: String) {
+        if self.notes.len() < MAX_NOTES {
+            self.notes.push(line);
+        }
+    }
+
+    /// The notes since the last look.
+    pub(super) fn take_notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notes)
+    }
+
+    /// True when a damaged or surplus line may be passed over once more; notes it.
+    pub(super) fn pass_over(&mut self, what: &str) -> bool {
+        self.noise_lines += 1;
+        let may = self.noise_lines <= NOISE_LINES;
+        if may {
+            self.note(format!(
+                "{what}: passed over ({} of {NOISE_LINES} in a row)",
+                self.noise_lines
+            ));
+        }
+        may
+    }
+
+    /// A line came as it should.
+    pub(super) fn heard_well(&mut self) {
+        self.noise_lines = 0;
     }
 
     /// True once after an alarm or a banner.
@@ -142,10 +190,13 @@ impl<'a> Link<'a> {
             Reply::Alarm(_) | Reply::Banner(_) => {
                 self.position_lost = true;
                 self.halted = true;
+                self.stops += 1;
                 self.overrides = None;
+                self.homed = None;
             }
             Reply::Status(s) => {
                 self.overrides = s.overrides.or(self.overrides);
+                self.homed = s.homed.or(self.homed);
                 self.position_lost |= s.is("Alarm");
                 if let Some(offset) = &s.work_offset {
                     self.work_offset = Some(offset.clone());
@@ -170,8 +221,7 @@ impl<'a> Link<'a> {
         let limit = self.clock.now() + 20.0;
         while self.clock.now() < limit {
             if self.next_reply(self.clock.now() + quiet)?.is_none() {
-                // Half a line of start-up noise is no reply either.
-                self.input.clear();
+                self.forget_half_line();
                 return Ok(());
             }
         }
@@ -179,6 +229,11 @@ impl<'a> Link<'a> {
             "the device talks without end",
             "is this the right port and baud rate?",
         ))
+    }
+
+    /// Drops the beginning of a line whose end does not come: noise is no reply either.
+    pub(super) fn forget_half_line(&mut self) {
+        self.input.clear();
     }
 
     /// Sends an empty line; true when it is acknowledged. Start-up text is not a reply, and a banner voids the `ok`.
@@ -226,160 +281,30 @@ impl<'a> Link<'a> {
         Ok(None)
     }
 
-    /// What has arrived unasked; anything but reports and messages is a fault.
-    fn drain(&mut self, during: &str) -> Result<(), Fault> {
-        let now = self.clock.now();
-        while let Some(reply) = self.next_reply(now)? {
-            if !(self.halted && reply == Reply::Ok) {
-                Self::unsolicited(reply, during)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// What a line means that is no answer.
-    fn unsolicited(reply: Reply, during: &str) -> Result<(), Fault> {
-        let during = during.to_owned();
-        match reply {
-            Reply::Alarm(number) => Err(Fault::Alarm { number, during }),
-            Reply::Banner(_) => Err(Fault::Restarted { during }),
-            Reply::Garbled(bytes) => Err(Fault::Garbled { bytes, during }),
-            Reply::Ok | Reply::Error(_) => Err(Fault::unexpected(
-                format!("a reply nobody waited for before {during}"),
-                "is another program writing to this port?",
-            )),
-            _ => Ok(()),
-        }
-    }
-
-    /// Asks for the state.
-    pub(super) fn status(&mut self) -> Result<Status, Fault> {
-        let during = "'?'";
-        self.drain(during)?;
+    /// 0x18, then waits for the banner; `ok`s and the rest that come before it belong to aborted lines. True when the
+    /// controller reported an alarm. A lost banner is asked for once more.
+    pub(super) fn reset(&mut self) -> Result<bool, Fault> {
+        let mut alarm = false;
         for _ in 0..2 {
-            self.send(b"?")?;
-            let deadline = self.clock.now() + 1.0;
+            self.send(b"\x18")?;
+            let deadline = self.clock.now() + 4.0;
             while let Some(reply) = self.next_reply(deadline)? {
                 match reply {
-                    Reply::Status(status) => return Ok(status),
-                    other => Self::unsolicited(other, during)?,
-                }
-            }
-        }
-        Err(Fault::Silent {
-            during: during.to_owned(),
-            seconds: 2.0,
-        })
-    }
-
-    /// Sends a line and waits for its `ok`; returns the listing that came before it.
-    pub(super) fn exchange(&mut self, line: &str, timeout: f64) -> Result<Vec<Reply>, Fault> {
-        self.exchange_watching(line, timeout, false)
-    }
-
-    /// As [`Link::exchange`]; with `watch` the state is asked for all the while, and a state in which the motion will not
-    /// end by itself is a fault.
-    pub(super) fn exchange_watching(
-        &mut self,
-        line: &str,
-        timeout: f64,
-        watch: bool,
-    ) -> Result<Vec<Reply>, Fault> {
-        let during = format!("'{line}'");
-        let plain = line.bytes().all(|b| b.is_ascii_graphic() || b == b' ');
-        if line.len() > MAX_LINE || !plain || line.contains(['?', '!', '~']) {
-            return Err(Fault::unexpected(
-                format!("{during} is not a line that can be sent"),
-                "lines are plain ASCII of at most 79 characters without ? ! ~",
-            ));
-        }
-        self.drain(&during)?;
-        self.send(format!("{line}\n").as_bytes())?;
-        let start = self.clock.now();
-        let deadline = start + timeout;
-        let mut last_report = start;
-        let mut next_poll = if watch { start + POLL } else { f64::INFINITY };
-        let mut listing = Vec::new();
-        loop {
-            let now = self.clock.now();
-            if now >= deadline || (watch && now - last_report > POLL_SILENCE) {
-                let seconds = if watch { now - last_report } else { timeout };
-                return Err(Fault::Silent { during, seconds });
-            }
-            if now >= next_poll {
-                self.send(b"?")?;
-                next_poll = now + POLL;
-            }
-            match self.next_reply(deadline.min(next_poll))? {
-                None => {}
-                Some(Reply::Ok) => {
-                    self.halted = false;
-                    return Ok(listing);
-                }
-                Some(Reply::Error(number)) => {
-                    self.clear_error()?;
-                    return Err(Fault::Refused {
-                        number,
-                        line: during,
-                    });
-                }
-                Some(Reply::Status(status)) => {
-                    last_report = self.clock.now();
-                    if watch && !matches!(status.state.as_str(), "Run" | "Idle" | "Jog") {
-                        return Err(Fault::unexpected(
-                            format!("state {} during {during}", status.state_text()),
-                            "somebody pressed hold or reset, or a door is open; clear it and start again",
-                        ));
+                    Reply::Alarm(_) => alarm = true,
+                    Reply::Banner(_) => {
+                        let quiet = self.clock.now() + 0.2;
+                        while let Some(reply) = self.next_reply(quiet)? {
+                            alarm |= matches!(reply, Reply::Alarm(_));
+                        }
+                        return Ok(alarm);
                     }
+                    _ => {}
                 }
-                Some(Reply::Message(_) | Reply::Setting(..)) if listing.len() > 4096 => {
-                    return Err(Fault::unexpected(
-                        format!("endless listing after {during}"),
-                        "is this a Grbl controller?",
-                    ));
-                }
-                Some(reply @ (Reply::Message(_) | Reply::Setting(..))) => listing.push(reply),
-                Some(other) => Self::unsolicited(other, &during)?,
-            }
-        }
-    }
-
-    /// grblHAL repeats an error for every later line until it gets an empty one; Grbl does not mind.
-    fn clear_error(&mut self) -> Result<(), Fault> {
-        self.send(b"\n")?;
-        let deadline = self.clock.now() + 1.0;
-        while let Some(reply) = self.next_reply(deadline)? {
-            match reply {
-                Reply::Ok => break,
-                Reply::Error(_) => {}
-                other => Self::unsolicited(other, "clearing an error")?,
-            }
-        }
-        Ok(())
-    }
-
-    /// 0x18, then waits for the banner; `ok`s and the rest that come before it belong to aborted lines. True when the
-    /// controller reported an alarm.
-    pub(super) fn reset(&mut self) -> Result<bool, Fault> {
-        self.send(b"\x18")?;
-        let deadline = self.clock.now() + 4.0;
-        let mut alarm = false;
-        while let Some(reply) = self.next_reply(deadline)? {
-            match reply {
-                Reply::Alarm(_) => alarm = true,
-                Reply::Banner(_) => {
-                    let quiet = self.clock.now() + 0.2;
-                    while let Some(reply) = self.next_reply(quiet)? {
-                        alarm |= matches!(reply, Reply::Alarm(_));
-                    }
-                    return Ok(alarm);
-                }
-                _ => {}
             }
         }
         Err(Fault::Silent {
             during: "a reset".to_owned(),
-            seconds: 4.0,
+            seconds: 8.0,
         })
     }
 

@@ -1,30 +1,39 @@
 //! Driver of one controller board with Grbl 1.1 or grblHAL.
 //!
 //! One line is in flight at a time, ended by LF. `ok` means queued: a move counts as done only after the barrier
-//! (`G4P0.01`, then Idle and the position read back within tolerance, twice). An alarm or a banner voids every
-//! outstanding `ok` and the position. Every wait has a time limit; whatever is unexpected becomes an error, after which
-//! [`Grbl::make_safe`] stops motion and switches the lamp off. Every wait but those of a stop ends within 0.1 s when
-//! [`Watch::urgent`] says so; connecting ends on [`Watch::cancelled`] too.
+//! (`G4P0.01`) and three reports in a row of Idle within tolerance. While it runs, every report must lie on the straight
+//! line it was sent on: the protocol has no checksum. An alarm or a banner voids every outstanding `ok` and the position.
+//! Every wait has a time limit; what noise explains is asked again where that can do no harm (`retry`), whatever else is
+//! unexpected becomes an error, after which [`Motion::make_safe`] stops motion and switches the lamp off. Every wait but
+//! those of a stop ends within 0.1 s when [`Watch::urgent`] says so; connecting ends on [`Watch::cancelled`] too.
 //!
-//! Does not: stream lines ahead, recover from a garbled reply by guessing, reconnect, or look after collisions.
+//! Does not: stream lines ahead, reconnect, or look after collisions.
+//!
+//! [`Motion::make_safe`]: super::devices::Motion::make_safe
 
 mod codes;
 mod device;
+mod exchange;
 mod fault;
+mod lamp;
 mod link;
 mod motion;
 mod replies;
+mod retry;
+mod route;
 mod status;
+mod stopping;
 
 pub(super) use fault::stopped_at_once;
-pub use motion::StopReport;
 pub use status::Status;
+pub use stopping::StopReport;
 
 use super::transport::{Clock, Transport};
-use crate::base::{Context, Error, Result, Watch};
+use crate::base::{Context, Result, Watch};
 use fault::Fault;
 use link::{Link, Obey};
-use replies::Reply;
+use replies::{listed, setting};
+use route::Route;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -40,6 +49,14 @@ pub struct Grbl<'a> {
     firmware: String,
     options: String,
     settings: BTreeMap<u16, f64>,
+    /// What it answered to `$I`, `$$`, `$#` and `$G` when it was connected, line by line.
+    said: Vec<String>,
+    /// Where the axes were last verified to rest, while the position is known.
+    rest: Option<Vec<f64>>,
+    /// The way of the move that was started and not finished.
+    route: Option<Route>,
+    /// Homed with `$H`, not by the operator's word.
+    homed_by_switches: bool,
     /// The position is known: homed, and neither alarm nor banner since.
     homed: bool,
     /// A motion line was sent and its end was not verified.
@@ -74,6 +91,10 @@ impl<'a> Grbl<'a> {
             firmware: String::new(),
             options: String::new(),
             settings: BTreeMap::new(),
+            said: Vec::new(),
+            rest: None,
+            route: None,
+            homed_by_switches: false,
             homed: false,
             moving: false,
             homing: false,
@@ -101,30 +122,25 @@ impl<'a> Grbl<'a> {
                 self.moving = false;
             }
         }
-        let info = self.link.exchange("$I", REPLY_TIMEOUT)?;
-        let listed = |key: &str| {
-            info.iter().find_map(|r| match r {
-                Reply::Message(m) => {
-                    let inside = m.strip_prefix('[')?.strip_suffix(']')?;
-                    inside.strip_prefix(key).map(str::to_owned)
-                }
-                _ => None,
-            })
-        };
-        let version = listed("VER:").ok_or_else(|| {
-            Fault::unexpected(
-                "'$I' gave no version",
-                "the firmware must be Grbl 1.1 or grblHAL",
-            )
-        })?;
-        self.options = listed("OPT:").unwrap_or_default();
-        let kind = listed("FIRMWARE:").unwrap_or_else(|| "Grbl".to_owned());
+        self.introduce()
+    }
+
+    /// Asks who the controller is and how it is set up.
+    fn introduce(&mut self) -> Result<(), Fault> {
+        let info = self.ask("$I", |l| listed(l, "VER:").is_some())?;
+        let version = listed(&info, "VER:").unwrap_or_default();
+        let kind = listed(&info, "FIRMWARE:").unwrap_or("Grbl");
+        self.options = listed(&info, "OPT:").unwrap_or_default().to_owned();
         self.firmware = format!("{kind} {version} options {}", self.options);
-        for reply in self.link.exchange("$$", REPLY_TIMEOUT)? {
-            if let Reply::Setting(number, value) = reply {
-                self.settings.insert(number, value);
-            }
-        }
+        self.link.gives_full_reports = kind.contains("HAL");
+        self.said.extend(info);
+        let settings = self.ask("$$", |l| l.iter().any(|s| s.starts_with("$110=")))?;
+        self.settings = settings.iter().filter_map(|l| setting(l)).collect();
+        self.said.extend(settings);
+        let offsets = self.ask("$#", |l| listed(l, "G54:").is_some())?;
+        self.said.extend(offsets);
+        let modes = self.ask("$G", |l| listed(l, "GC:").is_some())?;
+        self.said.extend(modes);
         Ok(())
     }
 
@@ -160,12 +176,14 @@ impl<'a> Grbl<'a> {
     fn checked<T>(&mut self, result: Result<T, Fault>) -> Result<T> {
         if self.link.take_position_lost() {
             self.homed = false;
+            self.rest = None;
         }
         result.map_err(|fault| {
             match fault {
                 Fault::Disconnected(_) => {
                     self.lost = true;
                     self.homed = false;
+                    self.rest = None;
                 }
                 Fault::Refused { .. } => {}
                 _ => self.faulted = true,
@@ -174,29 +192,9 @@ impl<'a> Grbl<'a> {
         })
     }
 
-    /// The board's name in the rig file.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Firmware version and build options, as it says itself.
-    pub fn firmware(&self) -> &str {
-        &self.firmware
-    }
-
-    /// The build options field of `$I`, e.g. `V,15,128`.
-    pub fn options(&self) -> &str {
-        &self.options
-    }
-
     /// The controller's `$` settings, read when connecting.
     pub fn settings(&self) -> &BTreeMap<u16, f64> {
         &self.settings
-    }
-
-    /// True while the position is known.
-    pub fn is_homed(&self) -> bool {
-        self.homed
     }
 
     /// Sends one line and waits for its `ok`; returns the lines that came before it.
@@ -205,15 +203,7 @@ impl<'a> Grbl<'a> {
     /// The line is refused, or an alarm, a restart, a garbled reply, silence or a disconnect happens instead.
     pub fn command(&mut self, line: &str) -> Result<Vec<String>> {
         let result = self.link.exchange(line, REPLY_TIMEOUT);
-        let replies = self.checked(result)?;
-        Ok(replies
-            .into_iter()
-            .map(|r| match r {
-                Reply::Message(m) => m,
-                Reply::Setting(n, v) => format!("${n}={v}"),
-                other => format!("{other:?}"),
-            })
-            .collect())
+        self.checked(result)
     }
 
     /// Asks for the state.
@@ -223,113 +213,6 @@ impl<'a> Grbl<'a> {
     pub fn status(&mut self) -> Result<Status> {
         let result = self.link.status();
         self.checked(result)
-    }
-
-    /// Checks what the lamp needs: laser mode off (`$32=0`, else a standing lamp goes dark) and `power_s` inside the
-    /// spindle range `$31..$30`.
-    ///
-    /// # Errors
-    /// With the setting to change.
-    pub fn check_lamp_settings(&self, power_s: f64) -> Result<()> {
-        let setting = |n: u16| {
-            self.settings.get(&n).copied().ok_or_else(|| {
-                Error::new(format!("board '{}' does not report ${n}", self.name))
-                    .with_hint("the firmware must be Grbl 1.1 or grblHAL")
-            })
-        };
-        if setting(32)? != 0.0 {
-            return Err(Error::new(format!(
-                "board '{}' is in laser mode ($32={})",
-                self.name,
-                setting(32)?
-            ))
-            .with_hint(
-                "send $32=0: in laser mode the lamp goes dark whenever the axes stand still",
-            ));
-        }
-        let (low, high) = (setting(31)?, setting(30)?);
-        if !(low..=high).contains(&power_s) || power_s <= 0.0 {
-            return Err(Error::new(format!(
-                "lamp power S{power_s} is outside the range of board '{}', {low} to {high}",
-                self.name
-            ))
-            .with_hint("change lamp.power_s in the rig file, or $30 and $31 on the board"));
-        }
-        Ok(())
-    }
-
-    /// Switches the lamp on with `M3` and this power, and reads the modal state back.
-    ///
-    /// # Errors
-    /// As [`Grbl::command`], or when the state read back differs.
-    pub fn lamp_on(&mut self, power_s: f64) -> Result<()> {
-        self.lamp_on = true;
-        let result = self.switch_lamp(&format!("M3S{power_s}"), Some(power_s));
-        self.checked(result)
-    }
-
-    /// Switches the lamp off with `M5` and reads the modal state back.
-    ///
-    /// # Errors
-    /// As [`Grbl::lamp_on`].
-    pub fn lamp_off(&mut self) -> Result<()> {
-        let result = self.switch_lamp("M5", None);
-        self.checked(result)?;
-        self.lamp_on = false;
-        Ok(())
-    }
-
-    fn switch_lamp(&mut self, line: &str, power: Option<f64>) -> Result<(), Fault> {
-        self.link.exchange(line, REPLY_TIMEOUT)?;
-        let replies = self.link.exchange("$G", REPLY_TIMEOUT)?;
-        let state = replies.iter().find_map(|r| match r {
-            Reply::Message(m) => m.strip_prefix("[GC:")?.strip_suffix(']'),
-            _ => None,
-        });
-        let words: Vec<&str> = state.unwrap_or_default().split(' ').collect();
-        let speed = words
-            .iter()
-            .find_map(|w| w.strip_prefix('S')?.parse::<f64>().ok());
-        let as_wanted = match power {
-            Some(p) => words.contains(&"M3") && speed.is_some_and(|s| (s - p).abs() <= 0.5),
-            None => words.contains(&"M5"),
-        };
-        if as_wanted {
-            return Ok(());
-        }
-        Err(Fault::unexpected(
-            format!(
-                "the lamp is not in the state set with {line}: '{}'",
-                words.join(" ")
-            ),
-            "is another program or a button changing the board's state?",
-        ))
-    }
-
-    /// Stops what moves and switches the lamp off, whatever happened before; says what was done.
-    ///
-    /// # Errors
-    /// When the board cannot be reached; the lamp may then still be on.
-    pub fn make_safe(&mut self) -> Result<String> {
-        if self.lost {
-            return Err(Error::new(format!("board '{}' is disconnected", self.name))
-                .with_hint("check by eye that its lamp is off and nothing moves"));
-        }
-        if self.moving || self.faulted {
-            let report = self.controlled_stop()?;
-            return Ok(format!("board '{}': {report}", self.name));
-        }
-        if self.lamp_on {
-            let obey = std::mem::replace(&mut self.link.obey, Obey::Nothing);
-            let off = self.lamp_off();
-            self.link.obey = obey;
-            if off.is_ok() {
-                return Ok(format!("board '{}': lamp off", self.name));
-            }
-            let report = self.controlled_stop()?;
-            return Ok(format!("board '{}': {report}", self.name));
-        }
-        Ok(format!("board '{}': at rest, lamp off", self.name))
     }
 }
 

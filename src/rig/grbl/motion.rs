@@ -1,180 +1,162 @@
-//! Homing, moving with the position verified, and stopping without losing steps.
+//! Homing, and moving with the way watched and the position verified.
 
 use super::fault::Fault;
-use super::link::Obey;
-use super::{Grbl, REPLY_TIMEOUT, Status};
-use crate::base::Result;
+use super::route::Route;
+use super::{Grbl, Status};
 use crate::rig::devices::Target;
-use std::fmt;
-
-/// How a controlled stop ended.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StopReport {
-    /// The controller stands still with its position known.
-    pub position_kept: bool,
-    /// Its state afterwards, or none when it did not say.
-    pub state: Option<String>,
-}
-
-impl fmt::Display for StopReport {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let position = if self.position_kept {
-            "position kept"
-        } else {
-            "position unknown, home before moving"
-        };
-        write!(f, "stopped, lamp off, {position}")
-    }
-}
 
 /// Letters in the order of a status report's coordinates.
 pub(super) const LETTERS: [char; 8] = ['X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V'];
+/// Idle reports within tolerance, in a row, that make a position.
+const IN_POSITION: u32 = 3;
+/// Seconds between two of them.
+const BETWEEN_REPORTS: f64 = 0.05;
+/// Motor steps by which a report may be off a straight line.
+const STEPS: f64 = 2.0;
+/// Positions are reported with three decimals.
+const ROUNDING: f64 = 0.001;
 
 impl Grbl<'_> {
-    /// Homes with `$H` and takes the position as known.
-    ///
-    /// # Errors
-    /// Homing is off, fails, or takes more than 3 minutes.
-    pub fn home(&mut self) -> Result<()> {
-        self.moving = true;
-        self.homing = true;
-        let result = self.home_and_prepare();
-        // After an alarm or a restart the cycle is over; after anything else it may still run.
-        self.homing = !matches!(
-            result,
-            Ok(()) | Err(Fault::Alarm { .. } | Fault::Restarted { .. } | Fault::Refused { .. })
-        );
-        self.checked(result)?;
-        self.moving = false;
-        self.homed = true;
-        Ok(())
-    }
-
-    fn home_and_prepare(&mut self) -> Result<(), Fault> {
-        self.link.exchange("$H", 180.0)?;
+    /// Homes; the controller must be idle afterwards.
+    pub(super) fn home_and_prepare(&mut self) -> Result<(), Fault> {
+        self.rest = None;
+        self.run_homing()?;
         // What the lock said before homing no longer counts.
         self.link.take_position_lost();
         self.prepare()
     }
 
-    /// Takes the position as known on the operator's word (boards without limit switches), unlocking if need be.
-    ///
-    /// # Errors
-    /// The board is neither idle nor merely locked.
-    pub fn trust_position(&mut self) -> Result<()> {
-        let result = (|| {
-            if self.link.status()?.is("Alarm") {
-                self.link.exchange("$X", REPLY_TIMEOUT)?;
-                self.link.take_position_lost();
-            }
-            self.prepare()
-        })();
-        self.checked(result)?;
-        self.homed = true;
-        Ok(())
+    /// Unlocks a board without limit switches if need be.
+    pub(super) fn unlock_and_prepare(&mut self) -> Result<(), Fault> {
+        self.rest = None;
+        if self.link.status()?.is("Alarm") {
+            self.ask("$X", |_| true)?;
+            self.link.take_position_lost();
+        }
+        self.prepare()
     }
 
-    /// Lamp off; the controller must be idle.
+    /// Lamp off; the controller must be idle. Where it stands is where it rests.
     fn prepare(&mut self) -> Result<(), Fault> {
         let status = self.link.status()?;
-        if !status.is("Idle") {
-            return Err(Fault::unexpected(
-                format!("state {} where Idle was expected", status.state_text()),
-                "clear the cause at the board and start again",
-            ));
-        }
-        self.link.exchange("M5", REPLY_TIMEOUT)?;
+        must_be_idle(&status)?;
+        self.ask("M5", |_| true)?;
+        self.rest = Some(self.position_of(&status)?);
         Ok(())
     }
 
-    /// Sends a straight move in machine space at `feed` units per minute; returns when it is queued.
-    ///
-    /// # Errors
-    /// The position is not known, or as [`Grbl::command`].
-    pub fn start_move(&mut self, targets: &[Target], feed: f64) -> Result<()> {
-        let line = self.move_line(targets, feed);
-        let line = self.checked(line)?;
-        self.moving = true;
-        let result = self.link.exchange(&line, REPLY_TIMEOUT);
-        self.checked(result)?;
-        Ok(())
-    }
-
-    fn move_line(&self, targets: &[Target], feed: f64) -> Result<String, Fault> {
-        if !self.homed {
+    /// Sends a straight move in machine space; returns when it is queued.
+    pub(super) fn begin_move(&mut self, targets: &[Target]) -> Result<(), Fault> {
+        let rest = self.rest.clone().filter(|_| self.homed);
+        let Some(rest) = rest else {
             return Err(Fault::unexpected(
                 "its position is not known",
                 "home the rig before moving it",
             ));
-        }
-        let numbers = targets.iter().map(|t| t.units).chain([feed]);
-        if !numbers.clone().all(f64::is_finite) || !(1.0..1e6).contains(&feed) {
-            return Err(Fault::unexpected(
-                format!("a move to {targets:?} at feed {feed} makes no sense"),
-                "feed rates must lie in 1 to 1000000 units per minute",
-            ));
-        }
-        let axes: String = targets
+        };
+        let feed = feed(&rest, targets).ok_or_else(|| {
+            Fault::unexpected(
+                format!("a move to {targets:?} makes no sense"),
+                "correct the axis letters and speeds in the rig file",
+            )
+        })?;
+        let status = self.link.status()?;
+        must_be_idle(&status)?;
+        let from = self.position_of(&status)?;
+        self.compare_with_rest(&rest, &from)?;
+        let mut route = self.route(from, targets)?;
+        let words: String = targets
             .iter()
             .map(|t| format!("{}{:.4}", t.letter, t.units + 0.0))
             .collect();
-        // Modes are in the line itself: a reset may have changed them.
-        Ok(format!("G21G90G94G53G1{axes}F{feed:.1}"))
+        self.moving = true;
+        // G21 G90 G94: whatever modal state a reset or another program left behind.
+        let line = format!("G21G90G94G53G1{words}F{feed:.1}");
+        let sent = self.send_move(&line, &mut route);
+        self.route = Some(route);
+        sent
     }
 
-    /// Waits until the move has ended and verifies it: the barrier's `ok`, then twice Idle at the target. Returns the
-    /// positions read back, in the order of `targets`.
-    ///
-    /// # Errors
-    /// It takes longer than `timeout` seconds, ends elsewhere, or as [`Grbl::command`].
-    pub fn finish_move(&mut self, targets: &[Target], timeout: f64) -> Result<Vec<f64>> {
-        let result = (|| {
-            self.link.exchange_watching("G4P0.01", timeout, true)?;
-            let deadline = self.link.clock.now() + 2.0;
-            let mut idle_reports = 0;
-            loop {
-                let status = self.link.status()?;
-                idle_reports = if status.is("Idle") {
-                    idle_reports + 1
-                } else {
-                    0
-                };
-                if idle_reports >= 2 {
-                    return self.verified(&status, targets);
-                }
-                if self.link.clock.now() > deadline {
-                    return Err(Fault::unexpected(
-                        format!("state {} after the end of a move", status.state_text()),
-                        "is another program moving the board?",
-                    ));
-                }
-                self.link.clock.sleep(0.02);
-            }
-        })();
-        let positions = self.checked(result)?;
-        self.moving = false;
-        Ok(positions)
+    fn route(&self, from: Vec<f64>, targets: &[Target]) -> Result<Route, Fault> {
+        let widest = targets.iter().map(|t| t.tolerance).fold(0.0, f64::max);
+        let mut to = from.clone();
+        let mut room: Vec<f64> = (0..from.len()).map(|i| widest + self.grain(i)).collect();
+        for target in targets {
+            let i = axis(target.letter).filter(|i| *i < to.len());
+            let i = i.ok_or_else(|| no_axis(target.letter))?;
+            to[i] = target.units;
+            room[i] = target.tolerance + self.grain(i);
+        }
+        let letters = LETTERS[..from.len().min(LETTERS.len())].to_vec();
+        Ok(Route::new(from, to, room, letters, self.link.clock.now()))
     }
 
-    /// Checks that the board stands idle at `targets` with no override active; returns the positions read back.
-    ///
-    /// # Errors
-    /// It does not, or as [`Grbl::status`].
-    pub fn verify_at(&mut self, targets: &[Target]) -> Result<Vec<f64>> {
-        let result = self
-            .link
-            .status()
-            .and_then(|status| self.verified(&status, targets));
-        self.checked(result)
+    /// How fine a position of this axis can be said, units.
+    fn grain(&self, axis: usize) -> f64 {
+        let steps = self.settings.get(&(100 + axis as u16)).copied();
+        let step = steps.filter(|s| *s > 0.0).map_or(0.0, |s| 1.0 / s);
+        STEPS * step + ROUNDING
     }
 
-    fn verified(&self, status: &Status, targets: &[Target]) -> Result<Vec<f64>, Fault> {
-        if !status.is("Idle") {
+    /// Fails when the axes are not where they were last verified to rest.
+    pub(super) fn compare_with_rest(&self, rest: &[f64], now: &[f64]) -> Result<(), Fault> {
+        if rest.len() != now.len() {
             return Err(Fault::unexpected(
-                format!("state {} where Idle was expected", status.state_text()),
-                "clear the cause at the board and start again",
+                format!("it reports {} axes, expected {}", now.len(), rest.len()),
+                "check for noise on the cable, then home again",
             ));
         }
+        for (i, (before, p)) in rest.iter().zip(now).enumerate() {
+            if !((p - before).abs() <= self.grain(i)) {
+                return Err(Fault::unexpected(
+                    format!(
+                        "axis {} stands at {p:.4} though it was left at {before:.4} and nothing was sent",
+                        LETTERS.get(i).unwrap_or(&'?')
+                    ),
+                    "is another program or a pendant moving the board? home again",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until the queued move has ended and verifies it; returns the positions read back, in the order of `targets`.
+    pub(super) fn end_move(&mut self, targets: &[Target], timeout: f64) -> Result<Vec<f64>, Fault> {
+        let Some(mut route) = self.route.take() else {
+            return Err(Fault::unexpected(
+                "no move was started",
+                "report this as a fault of the program",
+            ));
+        };
+        let deadline = self.link.clock.now() + timeout;
+        self.pass_barrier(timeout, &mut route)?;
+        let mut in_position = 0;
+        loop {
+            let status = self.link.status()?;
+            self.link.on_way(&status, &mut route, "the end of a move")?;
+            if status.is("Idle") {
+                let found = self.verified(&status, targets)?;
+                in_position += 1;
+                if in_position >= IN_POSITION {
+                    self.rest = Some(self.position_of(&status)?);
+                    return Ok(found);
+                }
+            } else {
+                in_position = 0;
+            }
+            if self.link.clock.now() > deadline {
+                return Err(Fault::unexpected(
+                    format!("state {} after the end of a move", status.state_text()),
+                    "is another program moving the board?",
+                ));
+            }
+            self.link.clock.sleep(BETWEEN_REPORTS);
+        }
+    }
+
+    /// Checks that a report is of a board at rest at `targets` with no override active; returns the positions read back.
+    pub(super) fn verified(&self, status: &Status, targets: &[Target]) -> Result<Vec<f64>, Fault> {
+        must_be_idle(status)?;
         if let Some(percent) = self.link.overrides()
             && percent.iter().any(|p| (p - 100.0).abs() > 0.5)
         {
@@ -183,22 +165,18 @@ impl Grbl<'_> {
                 "noise on the cable or a pendant changed them; reset the board",
             ));
         }
-        let position = self.link.machine_position(status).ok_or_else(|| {
-            Fault::unexpected(
-                "it does not report its position",
-                "set $10=1 so that the status has MPos",
-            )
-        })?;
+        if self.homed_by_switches && self.link.homed() == Some(false) {
+            return Err(Fault::unexpected(
+                "it says that it is not homed any more (H:0)",
+                "somebody changed its settings or reset it; home again",
+            ));
+        }
+        let position = self.position_of(status)?;
         targets
             .iter()
             .map(|t| {
-                let index = LETTERS.iter().position(|l| *l == t.letter);
-                let found = index.and_then(|i| position.get(i)).copied().ok_or_else(|| {
-                    Fault::unexpected(
-                        format!("it has no axis {}", t.letter),
-                        "correct the axis letters in the rig file",
-                    )
-                })?;
+                let found = axis(t.letter).and_then(|i| position.get(i)).copied();
+                let found = found.ok_or_else(|| no_axis(t.letter))?;
                 if (found - t.units).abs() <= t.tolerance {
                     return Ok(found);
                 }
@@ -213,101 +191,56 @@ impl Grbl<'_> {
             .collect()
     }
 
-    /// The machine position now, controller units by axis.
-    ///
-    /// # Errors
-    /// It does not report one, or as [`Grbl::status`].
-    pub fn position(&mut self) -> Result<Vec<f64>> {
-        let result = self.link.status().and_then(|status| {
-            self.link.machine_position(&status).ok_or_else(|| {
-                Fault::unexpected(
-                    "it does not report its position",
-                    "set $10=1 so that the status has MPos",
-                )
-            })
-        });
-        self.checked(result)
-    }
-
-    /// Sends the feed hold of a stop and does not wait; [`Grbl::controlled_stop`] must follow. With several boards all of
-    /// them begin to brake before the first is waited for.
-    pub fn hold(&mut self) {
-        if !self.lost && !self.held {
-            // Only a reset clears the hold. A board that cannot be reached tells it in the stop that follows.
-            self.faulted = true;
-            self.held = self.send_hold().is_ok();
-        }
-    }
-
-    /// True while axes may be moving, as far as is known here.
-    pub fn may_be_moving(&self) -> bool {
-        self.moving
-    }
-
-    /// True while a homing cycle may be running: a hold does not stop it.
-    pub fn may_be_homing(&self) -> bool {
-        self.homing
-    }
-
-    fn send_hold(&mut self) -> Result<(), Fault> {
-        if self.link.halted && !self.homing {
-            return Ok(());
-        }
-        self.link.send(b"!")
-    }
-
-    /// Feed hold, standstill, then reset: stops without losing steps where that is possible. Switches the lamp off. A
-    /// homing cycle, which obeys no hold, is reset at once.
-    ///
-    /// # Errors
-    /// When the board is gone or does not even answer a reset.
-    pub fn controlled_stop(&mut self) -> Result<StopReport> {
-        let trusted = self.homed;
-        let result = self.stop_in_order();
-        // The banner of the reset was expected; what counts is in the report.
-        self.link.take_position_lost();
-        let report = self.checked(result)?;
-        self.homed = trusted && report.position_kept;
-        self.moving = false;
-        self.homing = false;
-        self.lamp_on = false;
-        self.faulted = false;
-        Ok(report)
-    }
-
-    pub(super) fn stop_in_order(&mut self) -> Result<StopReport, Fault> {
-        let obey = std::mem::replace(&mut self.link.obey, Obey::Nothing);
-        let report = self.brake_and_reset();
-        self.link.obey = obey;
-        report
-    }
-
-    fn brake_and_reset(&mut self) -> Result<StopReport, Fault> {
-        if !std::mem::take(&mut self.held) {
-            self.send_hold()?;
-        }
-        let deadline = self.link.clock.now() + 15.0;
-        let mut before = None;
-        while !self.homing && self.link.clock.now() < deadline {
-            match self.link.status_tolerant(1.0, 2)? {
-                // Silent: a critical alarm. Only the reset helps.
-                None => break,
-                Some(status) if status.is_standstill() => {
-                    before = self.link.machine_position(&status);
-                    break;
-                }
-                Some(status) if status.is("Alarm") || status.is("Home") => break,
-                Some(_) => self.link.clock.sleep(0.1),
-            }
-        }
-        let lost_earlier = self.link.take_position_lost();
-        let alarm = self.link.reset()?;
-        let status = self.link.status_tolerant(1.0, 2)?;
-        let after = status.as_ref().and_then(|s| self.link.machine_position(s));
-        let idle = status.as_ref().is_some_and(|s| s.is("Idle"));
-        Ok(StopReport {
-            position_kept: idle && !alarm && !lost_earlier && before.is_some() && before == after,
-            state: status.map(|s| s.state_text()),
+    /// The machine position of a report, controller units by axis.
+    pub(super) fn position_of(&self, status: &Status) -> Result<Vec<f64>, Fault> {
+        self.link.machine_position(status).ok_or_else(|| {
+            Fault::unexpected(
+                "it does not report its position",
+                "set $10=1 so that the status has MPos",
+            )
         })
     }
+}
+
+fn must_be_idle(status: &Status) -> Result<(), Fault> {
+    if status.is("Idle") {
+        return Ok(());
+    }
+    Err(Fault::unexpected(
+        format!("state {} where Idle was expected", status.state_text()),
+        "clear the cause at the board and start again",
+    ))
+}
+
+fn axis(letter: char) -> Option<usize> {
+    LETTERS.iter().position(|l| *l == letter)
+}
+
+fn no_axis(letter: char) -> Fault {
+    Fault::unexpected(
+        format!("it has no axis {letter}"),
+        "correct the axis letters in the rig file",
+    )
+}
+
+/// Feed along the straight line, units per minute, at which no axis exceeds its speed; none when a number makes no sense
+/// or an axis is not there.
+fn feed(from: &[f64], targets: &[Target]) -> Option<f64> {
+    let (mut squared, mut seconds) = (0.0, 0.0_f64);
+    let mut fastest = 0.0_f64;
+    for target in targets {
+        let way = (target.units - from.get(axis(target.letter)?)?).abs();
+        if !(way.is_finite() && target.speed > 0.0 && target.tolerance >= 0.0) {
+            return None;
+        }
+        squared += way * way;
+        seconds = seconds.max(way / target.speed);
+        fastest = fastest.max(60.0 * target.speed);
+    }
+    let feed = if seconds > 0.0 {
+        (60.0 * f64::sqrt(squared) / seconds).max(1.0)
+    } else {
+        fastest
+    };
+    (1.0..1e6).contains(&feed).then_some(feed)
 }

@@ -15,10 +15,8 @@ pub(super) enum Reply {
     Status(Status),
     /// `Grbl 1.1h ['$' for help]` and the like: the controller has just started.
     Banner(String),
-    /// `[...]`: messages and listings.
-    Message(String),
-    /// `$n=v`
-    Setting(u16, f64),
+    /// `[...]`, `$n=v`, the echo of a start-up line: messages and listings, as they were said.
+    Listing(String),
     /// An empty line.
     Nothing,
     /// Anything else.
@@ -51,20 +49,35 @@ impl Reply {
         if let Some(inside) = text.strip_prefix('<').and_then(|t| t.strip_suffix('>')) {
             return Status::parse(inside).map(Self::Status);
         }
-        if text.starts_with('[') && text.ends_with(']') {
-            return Some(Self::Message(text.to_owned()));
-        }
-        if let Some((number, value)) = text.strip_prefix('$').and_then(|t| t.split_once('=')) {
-            // Start-up blocks ($N0=) and settings that are not numbers are listings like any other.
-            return match (number.parse(), value.parse()) {
-                (Ok(n), Ok(v)) if f64::is_finite(v) => Some(Self::Setting(n, v)),
-                _ => Some(Self::Message(text.to_owned())),
-            };
-        }
-        // The echo of a start-up line: ">G20G54:ok".
-        text.starts_with('>')
-            .then(|| Self::Message(text.to_owned()))
+        let listed = (text.starts_with('[') && text.ends_with(']'))
+            || (text.starts_with('$') && text.contains('='))
+            // The echo of a start-up line: ">G20G54:ok".
+            || text.starts_with('>');
+        listed.then(|| Self::Listing(text.to_owned()))
     }
+}
+
+/// Number and value of a line `$n=v`; none for start-up blocks (`$N0=`) and values that are not numbers.
+pub(super) fn setting(line: &str) -> Option<(u16, f64)> {
+    let (number, value) = line.strip_prefix('$')?.split_once('=')?;
+    let value: f64 = value.parse().ok()?;
+    Some((number.parse().ok()?, value)).filter(|_| value.is_finite())
+}
+
+/// What stands in the line `[key...]` of a listing.
+pub(super) fn listed<'t>(listing: &'t [String], key: &str) -> Option<&'t str> {
+    listing
+        .iter()
+        .find_map(|l| l.strip_prefix('[')?.strip_suffix(']')?.strip_prefix(key))
+}
+
+/// True when a damaged line may have been a banner or an alarm: such a line is never taken for mere noise.
+pub(super) fn may_hide_a_stop(bytes: &[u8]) -> bool {
+    let lower = bytes.to_ascii_lowercase();
+    [&b"grblhal"[..], b"alarm:", b"for help]"]
+        .iter()
+        .flat_map(|w| w.windows(3))
+        .any(|piece| lower.windows(3).any(|w| w == piece))
 }
 
 #[cfg(test)]
@@ -77,13 +90,14 @@ mod tests {
         assert_eq!(Reply::of(b"error:9"), Reply::Error(9));
         assert_eq!(Reply::of(b"ALARM:11"), Reply::Alarm(11));
         assert_eq!(Reply::of(b""), Reply::Nothing);
-        assert_eq!(Reply::of(b"$30=1000.000"), Reply::Setting(30, 1000.0));
+        assert!(matches!(Reply::of(b"$30=1000.000"), Reply::Listing(_)));
+        assert_eq!(setting("$30=1000.000"), Some((30, 1000.0)));
         assert!(matches!(
             Reply::of(b"GrblHAL 1.1f ['$' or '$HELP' for help]"),
             Reply::Banner(_)
         ));
-        assert!(matches!(Reply::of(b"$N0="), Reply::Message(_)));
-        assert!(matches!(Reply::of(b"$22=nan"), Reply::Message(_)));
+        assert!(matches!(Reply::of(b"$N0="), Reply::Listing(_)));
+        assert_eq!((setting("$N0="), setting("$22=nan")), (None, None));
         assert!(matches!(Reply::of(b"<Idle|MPos:0,0,0>"), Reply::Status(_)));
     }
 
@@ -99,6 +113,19 @@ mod tests {
             b"rbl 1.1h",
         ] {
             assert!(matches!(Reply::of(line), Reply::Garbled(_)), "{line:?}");
+        }
+    }
+    #[test]
+    fn a_damaged_banner_or_alarm_is_not_mere_noise() {
+        for line in [
+            &b"Gr\xffl 1.1h ['$' for h\x00lp]"[..],
+            b"AL\xfeRM:1",
+            b"bl 1.1h",
+        ] {
+            assert!(may_hide_a_stop(line), "{line:?}");
+        }
+        for line in [&b"o\xfek"[..], b"okok", b"<Idle|MPos:0,0", b"$11x=0.010"] {
+            assert!(!may_hide_a_stop(line), "{line:?}");
         }
     }
 }

@@ -37,6 +37,8 @@ impl GrblModel {
             b'?' => self.status_report(),
             b'!' => self.begin_hold(Hold::Feed),
             b'~' => self.resume(),
+            0x87 if self.options.flavor == Flavor::GrblHal => self.full_report(),
+            0x19 if self.options.flavor == Flavor::GrblHal => self.stop_motion(),
             0x84 => {
                 self.begin_hold(Hold::Door);
                 self.say("[MSG:Check Door]");
@@ -78,6 +80,9 @@ impl GrblModel {
 
     fn end_line(&mut self) {
         let line = std::mem::take(&mut self.partial);
+        let Some(line) = self.damaged_on_the_way(line) else {
+            return;
+        };
         if std::mem::take(&mut self.overlong) {
             self.lines.push_back(b"\0overlong".to_vec());
         } else {
@@ -305,6 +310,10 @@ impl GrblModel {
             Some(FaultKind::NeverOk) => {
                 self.muted = true;
                 Ok(Answer::Silent)
+            }
+            Some(FaultKind::DoubleOk) => {
+                self.ok();
+                Ok(Answer::Ok)
             }
             // The spindle and the dwell acknowledge themselves.
             _ if r.spindle.is_some() || r.dwell.is_some() => Ok(Answer::Silent),

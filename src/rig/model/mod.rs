@@ -5,8 +5,8 @@
 //! with both controllers (`tests/data/wire`).
 //!
 //! Not modeled: look-ahead between blocks (each line starts and ends at rest), arcs, probing, work offsets other than
-//! zero, check mode, sleep, start-up blocks, rapid and spindle overrides, grblHAL's 0x80-0x87 and 0x19. Homing always
-//! finds its switches.
+//! zero, check mode, sleep, start-up blocks, rapid and spindle overrides, grblHAL's 0x80-0x86. Homing always finds its
+//! switches.
 
 mod gcode;
 mod lines;
@@ -93,6 +93,10 @@ pub struct GrblModel {
     reports_since_offsets: u32,
     reports_since_overrides: u32,
     moves_seen: u32,
+    /// Lines with an axis word that arrived.
+    move_lines: u32,
+    /// Says `Run` and does nothing.
+    stuck: bool,
     fault_at: Option<(f64, FaultKind)>,
     muted: bool,
 }
@@ -131,6 +135,8 @@ impl GrblModel {
             reports_since_offsets: u32::MAX,
             reports_since_overrides: u32::MAX,
             moves_seen: 0,
+            move_lines: 0,
+            stuck: false,
             fault_at: None,
             muted: false,
             options,
@@ -310,7 +316,7 @@ impl GrblModel {
     }
 
     fn continue_waiting(&mut self) {
-        let still = self.motion.is_none() && self.queue.is_empty();
+        let still = self.motion.is_none() && self.queue.is_empty() && !self.stuck;
         match self.waiting {
             Some(Waiting::Dwell(seconds)) if still => {
                 self.waiting = Some(Waiting::DwellUntil(self.now + seconds));

@@ -45,6 +45,14 @@ pub enum FaultKind {
     FallShort(f64),
     /// Somebody presses the hold button halfway.
     Hold,
+    /// The line's `ok` arrives twice.
+    DoubleOk,
+    /// The byte at this place of the line is lost on its way to the board; beyond the last one: the line's end.
+    DropByte(usize),
+    /// The first digit of the line's first axis word arrives as this one, and the line is executed so.
+    CorruptDigit(char),
+    /// The axes stop halfway and the board says `Run` until it is reset.
+    StuckBusy,
 }
 
 /// How a model is set up.

@@ -81,7 +81,7 @@ impl GrblModel {
             Some(Hold::Door) if moving => "Door:2",
             Some(Hold::Door) => "Door:0",
             _ if jog => "Jog",
-            _ if moving || !self.queue.is_empty() => "Run",
+            _ if moving || !self.queue.is_empty() || self.stuck => "Run",
             _ => "Idle",
         }
     }
@@ -93,6 +93,34 @@ impl GrblModel {
 
     /// The answer to `?`.
     pub(super) fn status_report(&mut self) {
+        let mut fields = self.usual_fields();
+        self.intermittent_fields(&mut fields);
+        self.say(&format!("<{}>", fields.join("|")));
+    }
+
+    /// The answer to 0x87.
+    pub(super) fn full_report(&mut self) {
+        let mut fields = self.usual_fields();
+        let zeros = vec![0.0; self.position.len()];
+        let accessory = if self.spindle_on() { "S" } else { "" };
+        fields.extend([
+            format!("WCO:{}", self.coordinates(&zeros)),
+            "WCS:G54".to_owned(),
+            format!("Ov:{},100,100", self.feed_override),
+            format!("A:{accessory}"),
+            "Sc:".to_owned(),
+            "MPG:0".to_owned(),
+            format!("H:{}", u8::from(self.homed)),
+            "T:0".to_owned(),
+            "P:0".to_owned(),
+            "TLR:0".to_owned(),
+            "FW:grblHAL".to_owned(),
+        ]);
+        self.say(&format!("<{}>", fields.join("|")));
+    }
+
+    /// The fields that every report has.
+    fn usual_fields(&self) -> Vec<String> {
         let position = self.quantized(self.position());
         let feed = self.motion.as_ref().map_or(0.0, |m| m.feed(self.now));
         let spindle = if self.spindle_on() {
@@ -112,8 +140,7 @@ impl GrblModel {
         if !self.options.pins.is_empty() {
             fields.push(format!("Pn:{}", self.options.pins));
         }
-        self.intermittent_fields(&mut fields);
-        self.say(&format!("<{}>", fields.join("|")));
+        fields
     }
 
     /// Offsets and overrides come only now and then, in an order of their own for each kind.

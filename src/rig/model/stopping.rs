@@ -19,7 +19,8 @@ impl GrblModel {
                 target[0] -= units;
                 None
             }
-            FaultKind::Garble | FaultKind::NeverOk => Some(kind),
+            FaultKind::Garble | FaultKind::NeverOk | FaultKind::DoubleOk => Some(kind),
+            FaultKind::DropByte(_) | FaultKind::CorruptDigit(_) => None,
             _ => {
                 // "Halfway" is known once the line runs; see `arm`.
                 self.fault_at = Some((f64::INFINITY, kind));
@@ -53,8 +54,45 @@ impl GrblModel {
             FaultKind::Alarm(number) => self.raise_alarm(number),
             FaultKind::Vanish => self.gone = true,
             FaultKind::Hold => self.begin_hold(Hold::Feed),
-            FaultKind::Garble | FaultKind::NeverOk | FaultKind::FallShort(_) => {}
+            FaultKind::StuckBusy => {
+                self.freeze();
+                self.queue.clear();
+                self.stuck = true;
+            }
+            FaultKind::Garble
+            | FaultKind::NeverOk
+            | FaultKind::FallShort(_)
+            | FaultKind::DoubleOk
+            | FaultKind::DropByte(_)
+            | FaultKind::CorruptDigit(_) => {}
         }
+    }
+
+    /// A line as it arrives after the damage done to it on the way, without its end; none when the end was lost.
+    pub(super) fn damaged_on_the_way(&mut self, mut line: Vec<u8>) -> Option<Vec<u8>> {
+        let letters = self.options.flavor.letters();
+        let is_axis = |b: &u8| letters.contains(&(*b as char));
+        let word = line.iter().position(is_axis).filter(|_| line[0] != b'$');
+        let Some(word) = word else { return Some(line) };
+        self.move_lines += 1;
+        let fault = |f: &&super::Fault| f.on_move == self.move_lines;
+        match self.options.faults.iter().find(fault).map(|f| f.kind) {
+            Some(FaultKind::DropByte(place)) if place < line.len() => {
+                line.remove(place);
+            }
+            Some(FaultKind::DropByte(_)) => {
+                self.partial = line;
+                return None;
+            }
+            Some(FaultKind::CorruptDigit(digit)) => {
+                let rest = line.iter_mut().skip(word);
+                if let Some(byte) = rest.into_iter().find(|b| b.is_ascii_digit()) {
+                    *byte = digit as u8;
+                }
+            }
+            _ => {}
+        }
+        Some(line)
     }
 
     // -- stopping ---------------------------------------------------------------------------------------------------
@@ -77,6 +115,7 @@ impl GrblModel {
         self.homing_until = None;
         self.report_due = false;
         self.sticky_error = None;
+        self.stuck = false;
         self.feed_override = 100;
         self.reports_since_offsets = u32::MAX;
         self.reports_since_overrides = u32::MAX;
@@ -117,6 +156,16 @@ impl GrblModel {
             motion.resume(self.now);
         }
         self.start_next_block();
+    }
+
+    /// 0x19 of grblHAL: stops dead and forgets what was queued, without an alarm.
+    pub(super) fn stop_motion(&mut self) {
+        self.freeze();
+        self.queue.clear();
+        self.waiting = None;
+        self.hold = None;
+        self.modal.spindle = 5;
+        self.say("[MSG:Stop]");
     }
 
     /// 0x18.
