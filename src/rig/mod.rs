@@ -3,8 +3,8 @@
 //! Knows neither models nor renders: a virtual camera gets its picture from outside, as a trait object.
 //!
 //! ```text
-//! capture (the loop) -> machine (angles, all boards) -> grbl (one board) -> Transport + Clock
-//!                                                           serial port | model in process | replay of a wire log
+//! capture (the loop) -> machine (angles, all devices) -> grbl, zaber, scpi_led (one device) -> Transport + Clock
+//!                                                    serial port | model in process | replay of a wire log
 //! ```
 
 mod board_check;
@@ -21,6 +21,8 @@ mod path;
 mod replay;
 mod replay_camera;
 mod rig_file;
+mod scpi_led;
+mod scpi_model;
 mod serial;
 mod shots;
 pub mod simulated;
@@ -30,6 +32,8 @@ mod utc;
 #[cfg(feature = "uvc")]
 mod uvc;
 mod wire_log;
+mod zaber;
+mod zaber_model;
 
 pub use description::{
     Axis, AxisName, Board, CameraDescription, Homing, Lamp, LampOutput, LightSource, Metering,
@@ -46,6 +50,8 @@ pub use operator::{Absent, Operator, Request, Seen, Taken};
 pub use path::Leg;
 pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;
+pub use scpi_led::ScpiLed;
+pub use scpi_model::{ScpiFault, ScpiModel};
 pub use serial::SerialTransport;
 pub use simulator::{ByteModel, ModelTransport, PtySimulator, SharedDevice, SharedModel};
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
@@ -54,6 +60,9 @@ pub use uvc::UvcCamera;
 pub use wire_log::{
     RecordingTransport, Way, WireEntry, WireLog, parse_wire_log, read_wire_log, show_bytes,
 };
+
+pub use zaber::Zaber;
+pub use zaber_model::{ZaberAxis, ZaberFault, ZaberFaultKind, ZaberModel, ZaberOptions};
 
 pub mod virtual_camera;
 
