@@ -112,11 +112,6 @@ pub trait Motion {
     /// It is not.
     fn verify_at(&mut self, targets: &[Target]) -> Result<Vec<f64>>;
 
-    /// What had to be asked for more than once since the last call, and why.
-    fn take_notes(&mut self) -> Vec<String> {
-        Vec::new()
-    }
-
     /// True while axes may be moving, as far as is known here.
     fn may_be_moving(&self) -> bool;
 

@@ -3,7 +3,9 @@
 use super::description::{Board, LampOutput, Port, Protocol};
 use super::devices::{Light, Motion, Wiring};
 use super::grbl::Grbl;
-use crate::base::{Error, Result};
+use super::scpi_led::ScpiLed;
+use super::zaber::Zaber;
+use crate::base::Result;
 
 /// Connects to the controller of a board. Moves nothing; a motion that is under way is stopped.
 ///
@@ -17,7 +19,7 @@ pub(super) fn motion<'a>(board: &Board, wiring: Wiring<'a>) -> Result<Box<dyn Mo
             wiring.clock,
             wiring.watch,
         )?)),
-        Protocol::Zaber => Err(Error::new("zaber")),
+        Protocol::Zaber => Ok(Box::new(Zaber::connect(board.address, wiring)?)),
     }
 }
 
@@ -32,8 +34,8 @@ pub(super) fn light<'a>(
     match output {
         LampOutput::Board { .. } => Ok(None),
         LampOutput::Scpi { port, channel, .. } => {
-            let _ = (wiring(port)?, channel);
-            Err(Error::new("scpi"))
+            let led = ScpiLed::connect(*channel, wiring(port)?)?;
+            Ok(Some(Box::new(led)))
         }
     }
 }

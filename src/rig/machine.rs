@@ -170,14 +170,6 @@ impl<'a> Rig<'a> {
             .collect()
     }
 
-    /// What boards had to be asked for more than once since the last call, and why.
-    pub fn take_notes(&mut self) -> Vec<String> {
-        self.boards
-            .iter_mut()
-            .flat_map(|b| b.take_notes())
-            .collect()
-    }
-
     /// True while the lamp is on, as far as is known here.
     pub fn lamp_is_on(&self) -> bool {
         self.lamp_on

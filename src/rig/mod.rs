@@ -3,8 +3,8 @@
 //! Knows neither models nor renders: a virtual camera gets its picture from outside, as a trait object.
 //!
 //! ```text
-//! capture (the loop) -> machine (angles, all boards) -> grbl (one board) -> Transport + Clock
-//!                                                           serial port | model in process | replay of a wire log
+//! capture (the loop) -> machine (angles, all devices) -> grbl, zaber, scpi_led (one device) -> Transport + Clock
+//!                                                    serial port | model in process | replay of a wire log
 //! ```
 
 mod board_check;
@@ -25,6 +25,8 @@ mod path;
 mod replay;
 mod replay_camera;
 mod rig_file;
+mod scpi_led;
+mod scpi_model;
 mod serial;
 mod shots;
 pub mod simulated;
@@ -36,6 +38,8 @@ mod utc;
 #[cfg(feature = "uvc")]
 mod uvc;
 mod wire_log;
+mod zaber;
+mod zaber_model;
 
 pub use bodies::{Body, Carrier, Clearance};
 pub use clearance::Contact;
@@ -55,6 +59,8 @@ pub use outlook::Outlook;
 pub use path::Leg;
 pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;
+pub use scpi_led::ScpiLed;
+pub use scpi_model::{ScpiFault, ScpiModel};
 pub use serial::SerialTransport;
 pub use shots::{History, PlannedShot};
 pub use simulator::{ByteModel, ModelTransport, PtySimulator, SharedDevice, SharedModel};
@@ -66,6 +72,9 @@ pub use uvc::UvcCamera;
 pub use wire_log::{
     RecordingTransport, Way, WireEntry, WireLog, parse_wire_log, read_wire_log, show_bytes,
 };
+
+pub use zaber::Zaber;
+pub use zaber_model::{ZaberAxis, ZaberFault, ZaberFaultKind, ZaberModel, ZaberOptions};
 
 pub mod virtual_camera;
 

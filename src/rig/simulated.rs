@@ -1,15 +1,17 @@
 //! Whole captures on device models: in process, over a pseudo-terminal, or from a recorded dialogue.
 
 use super::capture::{Capture, CaptureOptions, Summary};
-use super::description::{Board, Homing, RigDescription};
+use super::description::{Board, Homing, LampOutput, Protocol, RigDescription};
 use super::machine::Connection;
 use super::model::{Flavor, GrblModel, ModelOptions};
 use super::operator::{Operator, Unattended};
 use super::replay::Replay;
+use super::scpi_model::ScpiModel;
 use super::serial::SerialTransport;
 use super::simulator::{ByteModel, ModelTransport, PtySimulator, SharedDevice};
 use super::transport::{SystemClock, VirtualClock};
 use super::wire_log::WireEntry;
+use super::zaber_model::{ZaberAxis, ZaberModel, ZaberOptions};
 use super::{Camera, Judge, Transport};
 use crate::base::{Error, Result, Watch};
 use crate::session::Plan;
@@ -38,7 +40,7 @@ pub fn model_options(description: &RigDescription, board: &Board) -> ModelOption
 pub struct SimulatedDevice {
     /// Name of its port in the rig file: a board's, or `lamp`.
     pub name: String,
-    /// What it is: `grbl`, `grblhal`.
+    /// What it is: `grbl`, `grblhal`, `zaber` or `scpi`.
     pub kind: &'static str,
     /// The device.
     pub model: Box<dyn ByteModel>,
@@ -58,12 +60,51 @@ impl SimulatedDevice {
     }
 }
 
+/// A Zaber model that fits a board of a rig file: its axes have the limits and speeds the rig asks for, with room.
+pub fn zaber_options(description: &RigDescription, board: &Board) -> ZaberOptions {
+    let mut options = ZaberOptions::rotary(1);
+    options.address = board.address;
+    for (_, motor) in description.motors_of(&board.name) {
+        let number = motor.letter.to_digit(10).unwrap_or(1) as usize;
+        let axes = options.axes.len().max(number);
+        options.axes.resize_with(axes, ZaberAxis::rotary);
+        let ends = [motor.units(motor.min_deg), motor.units(motor.max_deg)];
+        let [low, high] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+        let axis = &mut options.axes[number - 1];
+        axis.limit_min = axis.limit_min.min(low.floor() as i64);
+        axis.limit_max = axis.limit_max.max(high.ceil() as i64);
+    }
+    options
+}
+
+fn board_model(description: &RigDescription, board: &Board) -> SimulatedDevice {
+    match board.protocol {
+        Protocol::Grbl => SimulatedDevice::grbl(&board.name, model_options(description, board)),
+        Protocol::Zaber => SimulatedDevice {
+            name: board.name.clone(),
+            kind: "zaber",
+            model: Box::new(ZaberModel::new(zaber_options(description, board))),
+        },
+    }
+}
+
 /// A model of every device of a rig file.
 pub fn device_models(description: &RigDescription) -> Vec<SimulatedDevice> {
     let boards = description.boards.iter();
-    boards
-        .map(|board| SimulatedDevice::grbl(&board.name, model_options(description, board)))
-        .collect()
+    let mut devices: Vec<_> = boards
+        .map(|board| board_model(description, board))
+        .collect();
+    if let LampOutput::Scpi {
+        port, current_a, ..
+    } = &description.lamp.output
+    {
+        devices.push(SimulatedDevice {
+            name: port.name.clone(),
+            kind: "scpi",
+            model: Box::new(ScpiModel::new(1.5 * current_a, Vec::new())),
+        });
+    }
+    devices
 }
 
 /// A virtual clock and a connection to one GRBL model per board, in the order of the rig file.
