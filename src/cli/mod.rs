@@ -13,6 +13,9 @@ mod capture;
 mod demo;
 mod fabric;
 mod fit;
+// The capture command hands it to the loop.
+#[allow(dead_code)]
+mod judge;
 mod measure;
 mod render;
 mod report;

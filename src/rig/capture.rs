@@ -10,12 +10,11 @@
 //!
 //! Does not choose exposures, judge frames, follow lamp drift, or continue an interrupted session.
 
-pub use super::shots::{CaptureOptions, PlannedShot, planned_shots};
+pub use super::shots::{CaptureOptions, PlannedShot, planned_shots, white_id};
 
 use super::description::RigDescription;
 use super::kinematics::AxisAngles;
 use super::machine::{Connection, Halt, Opener, Prompt, Rig, Step};
-use super::shots::white_id;
 use super::transport::Clock;
 use super::utc::utc_now;
 use super::wire_log::{RecordingTransport, WireLog};

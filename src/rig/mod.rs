@@ -57,4 +57,4 @@ pub use wire_log::{
 
 pub mod virtual_camera;
 
-pub use virtual_camera::{Appearance, SensorModel, VirtualCamera, white_radiance};
+pub use virtual_camera::{Appearance, LampLaw, SensorModel, VirtualCamera, white_radiance};

@@ -117,7 +117,7 @@ pub fn planned_shots(
 }
 
 /// An id for the white geometry that the plan does not use.
-pub(super) fn white_id(plan: &Plan) -> u32 {
+pub fn white_id(plan: &Plan) -> u32 {
     (0..)
         .find(|id| plan.configuration(*id).is_none())
         .unwrap_or(0)
