@@ -1,10 +1,11 @@
 //! `goniofit capture`.
 
 use super::Outcome;
-use super::judge::FrameJudge;
+use super::judge::CropJudge;
 use super::output::data;
 use super::terminal::Terminal;
 use crate::base::{Error, Result, Watch};
+use crate::measure::FrameJudge;
 use crate::rig::capture::{Capture, CaptureOptions, End, Order, Summary, plan_capture};
 use crate::rig::exposures::Verdict;
 use crate::rig::simulated::capture_from_replay;
@@ -120,7 +121,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
         ..CaptureOptions::default()
     };
     let mut camera = open_camera(camera_name, &rig, &mut options)?;
-    let judge = FrameJudge::new(camera.facts(), rig.camera.sample_square_mm);
+    let judge = CropJudge(FrameJudge::new(camera.facts(), rig.camera.sample_square_mm));
     let judge = (!arguments.blind).then(|| Box::new(judge) as Box<dyn Judge>);
     let terminal = Terminal::for_hardware()?;
     let person = Person {

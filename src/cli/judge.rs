@@ -1,27 +1,16 @@
-//! The capture loop's look at a frame: `measure` decodes for `rig`.
+//! Lets the capture loop look at frames: the rig asks, the measuring room answers.
 
 use crate::base::Result;
+use crate::measure::FrameJudge;
 use crate::rig::{CapturedFrame, Judge, Shot};
-use crate::session::{CameraFacts, Exposedness};
+use crate::session::Exposedness;
 
-/// Judges frames of one camera.
-pub(crate) struct FrameJudge {
-    facts: CameraFacts,
-    sample_square_mm: f64,
-}
+/// A [`FrameJudge`] in the rig's terms.
+pub(crate) struct CropJudge(pub(crate) FrameJudge);
 
-impl FrameJudge {
-    pub(crate) fn new(facts: CameraFacts, sample_square_mm: f64) -> Self {
-        Self {
-            facts,
-            sample_square_mm,
-        }
-    }
-}
-
-impl Judge for FrameJudge {
-    fn judge(&mut self, _shot: &Shot, _frame: &CapturedFrame) -> Result<Option<Exposedness>> {
-        let _ = (&self.facts, self.sample_square_mm);
-        Ok(None)
+impl Judge for CropJudge {
+    fn judge(&mut self, shot: &Shot, frame: &CapturedFrame) -> Result<Option<Exposedness>> {
+        self.0
+            .look(shot.kind, &shot.pose, &frame.bytes, &frame.extension)
     }
 }

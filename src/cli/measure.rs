@@ -272,6 +272,7 @@ fn print_table(measurements: &Measurements, report: &MeasureReport) {
     if report.synthetic {
         data!("# synthetic");
     }
+    print_lamp(report);
     data!("# normalized radiance pi L / E_normal, +- standard error");
     data!("config           r                   g                   b            exposures ms");
     for c in &report.configurations {
@@ -291,5 +292,36 @@ fn print_table(measurements: &Measurements, report: &MeasureReport) {
             .collect();
         let times: Vec<String> = c.exposures_ms.iter().map(f64::to_string).collect();
         data!("{:>6}  {}  {}", c.config, cells.join("  "), times.join(" "));
+    }
+}
+
+/// The visits of the reference pose, if there were any.
+fn print_lamp(report: &MeasureReport) {
+    if report.lamp.visits.is_empty() {
+        return;
+    }
+    data!("# lamp relative to the first reference visit, +- standard error");
+    data!("# visit  stretch   time s           r                   g                   b");
+    for v in &report.lamp.visits {
+        let cells: Vec<String> = v
+            .level
+            .iter()
+            .zip(v.standard_error)
+            .map(|(l, s)| format!("{l:.5} +- {s:.5}"))
+            .collect();
+        data!(
+            "# {:>5}  {:>7}  {:>7.0}  {}",
+            v.visit,
+            v.stretch,
+            v.elapsed_s,
+            cells.join("  ")
+        );
+    }
+    if let Some(change) = report.lamp.before_first_visit {
+        let largest = change.into_iter().fold(0.0_f64, |l, c| l.max(c.abs()));
+        data!(
+            "# white frames are taken as shot at the first visit's level; at its rate then that may be off by {:.2} %",
+            100.0 * largest
+        );
     }
 }

@@ -5,7 +5,7 @@ use super::render::{fiber_scene, surroundings};
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
 use crate::render::{Effort, Estimate, FiberScene, Request, Scene, TilePicture};
-use crate::rig::capture::CaptureOptions;
+use crate::rig::capture::{CaptureOptions, white_id};
 use crate::rig::simulated::capture_in_process;
 use crate::rig::{Appearance, RigDescription, SensorModel, VirtualCamera, white_radiance};
 use crate::scatter::{self, Parameters};
@@ -81,6 +81,14 @@ pub(crate) struct Arguments {
     /// Light lost at the image corners, fraction
     #[arg(long, value_name = "V", default_value_t = 0.04)]
     vignetting: f64,
+    /// Relative change of the lamp's brightness while capturing (63 % of it over the first 50 frames with light)
+    #[arg(
+        long,
+        value_name = "D",
+        default_value_t = 0.0,
+        allow_hyphen_values = true
+    )]
+    lamp_drift: f64,
     /// Bits per sample of the RAW frames
     #[arg(long, value_name = "BITS", default_value = "12", value_parser = ["12", "16"])]
     bits: String,
@@ -252,12 +260,12 @@ fn virtual_camera(
     terminal: &Terminal,
 ) -> Result<VirtualCamera> {
     let mut pictures = BTreeMap::new();
-    for (i, configuration) in plan.configurations.iter().enumerate() {
-        terminal.say(format!(
-            "picture {} of {}",
-            i + 1,
-            plan.configurations.len()
-        ));
+    let mut configurations = plan.configurations.clone();
+    if rig.lamp.reference_every > 0 {
+        configurations.push(rig.white.configuration(white_id(plan)));
+    }
+    for (i, configuration) in configurations.iter().enumerate() {
+        terminal.say(format!("picture {} of {}", i + 1, configurations.len()));
         let resolution = [a.texels; 2];
         let picture = scene.picture(
             configuration,
@@ -287,14 +295,17 @@ fn virtual_camera(
         },
         ..SensorModel::default()
     };
-    VirtualCamera::new(
-        sensor,
-        Box::new(Swatch {
-            pictures,
-            white: white_radiance(&white),
-        }),
-        a.seed,
-    )
+    let swatch = Swatch {
+        pictures,
+        white: white_radiance(&white),
+    };
+    let camera = VirtualCamera::new(sensor, Box::new(swatch), a.seed)?;
+    let (drift, mut lit) = (a.lamp_drift, 0.0_f64);
+    Ok(camera.with_lamp(Box::new(move |_| {
+        let level = 1.0 + drift * (1.0 - (-lit / 50.0).exp());
+        lit += 1.0;
+        [level; 3]
+    })))
 }
 
 /// The fabric's pictures, and the white standard.

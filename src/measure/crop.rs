@@ -7,8 +7,12 @@
 //! ```text
 //! m_e = sum_i g_i (raw_i - dark_i) / t_e,      g_i = w_i K / (F_i sum_j w_j)        (sums over one channel's pixels)
 //! ```
+//!
+//! where `t_e` is the exposure time times the lamp's level then.
 
-use super::frames::{Pixel, Region, Stack};
+use super::frames::{Pixel, Region};
+use super::lamp::Level;
+use super::stack::Stack;
 use super::white::{Terms, White};
 use std::collections::HashMap;
 
@@ -17,6 +21,7 @@ pub(super) struct ExposureSums {
     pub(super) exposure_ms: f64,
     /// How messages call its first frame.
     pub(super) title: String,
+    pub(super) level: Level,
     pub(super) channels: [ChannelSums; 3],
 }
 
@@ -40,12 +45,12 @@ pub(super) fn exposure_sums(region: &Region, stack: &Stack, white: &White) -> Ex
     for pixel in &region.pixels {
         area[pixel.channel] += pixel.weight;
     }
-    let t = stack.exposure_ms;
     let mut channels = [ChannelSums::default(); 3];
     for (pixel, &signal) in region.pixels.iter().zip(&stack.signal) {
         let phi = white.terms(pixel.x, pixel.y);
         let rate = white.rate(pixel.channel, &phi);
         let g = pixel.weight * white.radiance[pixel.channel] / (rate * area[pixel.channel]);
+        let t = stack.time(pixel.channel);
         let sums = &mut channels[pixel.channel];
         let (m, g2) = (g * signal / t, g * g / (t * t));
         sums.mean += m;
@@ -57,8 +62,9 @@ pub(super) fn exposure_sums(region: &Region, stack: &Stack, white: &White) -> Ex
         }
     }
     ExposureSums {
-        exposure_ms: t,
+        exposure_ms: stack.exposure_ms,
         title: stack.title.clone(),
+        level: stack.level.clone(),
         channels,
     }
 }
@@ -101,7 +107,7 @@ impl Texture {
         let mut values = HashMap::with_capacity(region.pixels.len());
         for (pixel, &signal) in region.pixels.iter().zip(&stack.signal) {
             let rate = white.rate(pixel.channel, &white.terms(pixel.x, pixel.y));
-            let g = white.radiance[pixel.channel] / (rate * stack.exposure_ms);
+            let g = white.radiance[pixel.channel] / (rate * stack.time(pixel.channel));
             values.insert((pixel.x, pixel.y), (g, signal));
         }
         let read = stack.dark_variance * (1.0 / stack.repeats + 1.0 / stack.dark_count);

@@ -1,6 +1,6 @@
 //! Dark frames: what every pixel reads without light, how much it scatters, and which pixels are hot.
 
-use super::frames::{Loader, same_exposure, title};
+use super::frames::{Loader, Taken, same_exposure, title};
 use crate::base::{Error, Result};
 use crate::session::{CfaPattern, FrameRecord};
 
@@ -32,12 +32,8 @@ const QUANTIZATION: f64 = 1.0 / 12.0;
 
 impl Darks {
     /// Averages the darks of each exposure time; `hot_sigma` is how many standard deviations make a pixel hot.
-    pub(super) fn read(
-        loader: &Loader<'_>,
-        records: &[&FrameRecord],
-        hot_sigma: f64,
-    ) -> Result<Self> {
-        let mut records = records.to_vec();
+    pub(super) fn read(loader: &Loader<'_>, frames: &[&Taken], hot_sigma: f64) -> Result<Self> {
+        let mut records: Vec<&FrameRecord> = frames.iter().map(|f| &f.record).collect();
         records.sort_by(|a, b| a.exposure_ms.total_cmp(&b.exposure_ms));
         let mut masters = Vec::new();
         let mut hot = Vec::new();
@@ -109,7 +105,7 @@ impl Darks {
                         times.join(", ")
                     }
                 ))
-                .with_hint("take a dark frame at every exposure of the bracket and of the white")
+                .with_hint("take a dark frame at every exposure of the sample, the white and the reference")
             })
     }
 }

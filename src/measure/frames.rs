@@ -1,10 +1,10 @@
 //! The frames of a session, each checked against the journal before anything is read off it.
 
-use super::dark::Darks;
-use super::noise::{Cell, Sample, pair_cells};
 use super::{RawFrame, decode};
 use crate::base::{Context, Error, Result, Watch};
-use crate::session::{CfaPattern, Coverage, FrameKind, FrameRecord, Manifest, SessionFolder};
+use crate::session::{
+    CfaPattern, Coverage, Entry, Event, FrameKind, FrameRecord, Manifest, SessionFolder,
+};
 use sha2::Digest;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,11 +14,47 @@ pub(super) fn same_exposure(a: f64, b: f64) -> bool {
     (a / b - 1.0).abs() < 1e-3
 }
 
+/// When a frame was shot. Times compare within a stretch only: between stretches the lamp was switched off and on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Moment {
+    /// 0 for the first stretch of work, 1 after the first interruption, ...
+    pub(super) stretch: usize,
+    pub(super) elapsed_s: f64,
+}
+
+/// A journaled frame and when it was shot.
+#[derive(Debug, Clone)]
+pub(super) struct Taken {
+    pub(super) record: FrameRecord,
+    pub(super) moment: Moment,
+}
+
+/// The frames of a journal that count, in its order: looks that only chose exposures are no measurements.
+pub(super) fn taken(journal: Vec<Entry>) -> Vec<Taken> {
+    let mut ready = 0_usize;
+    let mut frames = Vec::new();
+    for entry in journal {
+        match entry.event {
+            Event::Ready { .. } => ready += 1,
+            Event::Frame(record) if record.kind != FrameKind::Meter => frames.push(Taken {
+                record,
+                moment: Moment {
+                    stretch: ready.saturating_sub(1),
+                    elapsed_s: entry.elapsed_s,
+                },
+            }),
+            _ => {}
+        }
+    }
+    frames
+}
+
 /// How messages call a frame.
 pub(super) fn title(record: &FrameRecord) -> String {
     let place = match (record.kind, record.config) {
         (FrameKind::Sample, Some(id)) => format!("configuration {id}"),
         (FrameKind::Sample, None) => "no configuration".to_owned(),
+        (FrameKind::Reference, _) => format!("reference, visit {}", record.visit),
         (kind, _) => kind.name().to_owned(),
     };
     format!("frame {} ({place}, {} ms)", record.file, record.exposure_ms)
@@ -49,10 +85,10 @@ impl<'a> Loader<'a> {
     pub(super) fn new(
         session: &'a SessionFolder,
         manifest: &'a Manifest,
-        records: &[FrameRecord],
+        frames: &[Taken],
         watch: &'a dyn Watch,
     ) -> Result<Self> {
-        for record in records {
+        for record in frames.iter().map(|f| &f.record) {
             if !session.frame_path(&record.file).is_file() {
                 return Err(Error::new(format!(
                     "{} is missing: {} is not there",
@@ -73,7 +109,7 @@ impl<'a> Loader<'a> {
             session,
             manifest,
             watch,
-            total: records.len() as u64,
+            total: frames.len() as u64,
             done: AtomicU64::new(0),
             camera: OnceLock::new(),
         })
@@ -254,7 +290,7 @@ impl Region {
         }
     }
 
-    fn indices(&self) -> impl Iterator<Item = usize> + '_ {
+    pub(super) fn indices(&self) -> impl Iterator<Item = usize> + '_ {
         self.pixels.iter().map(|p| p.y * self.width + p.x)
     }
 }
@@ -292,80 +328,4 @@ fn interpolation(
     offsets
         .iter()
         .filter_map(move |&(dx, dy)| x.checked_add_signed(dx).zip(y.checked_add_signed(dy)))
-}
-
-/// All shots of one thing at one exposure.
-pub(super) struct Stack {
-    pub(super) exposure_ms: f64,
-    /// Mean over the repeats of raw value minus dark, per pixel of the region.
-    pub(super) signal: Vec<f64>,
-    pub(super) repeats: f64,
-    pub(super) dark_count: f64,
-    /// Variance of one raw value without light.
-    pub(super) dark_variance: f64,
-    /// Pixels of the region at or above the usable range, in the worst repeat.
-    pub(super) clipped: usize,
-    /// How messages call its first frame.
-    pub(super) title: String,
-}
-
-/// Reads all shots of one thing, grouped by exposure (ascending), and compares successive usable ones for their noise.
-pub(super) fn read_stacks(
-    loader: &Loader<'_>,
-    records: &[&FrameRecord],
-    region: &Region,
-    darks: &Darks,
-    usable_fraction: f64,
-) -> Result<(Vec<Stack>, Vec<Cell>)> {
-    let mut records = records.to_vec();
-    records.sort_by(|a, b| {
-        let by_time = a.exposure_ms.total_cmp(&b.exposure_ms);
-        by_time.then(a.repeat.cmp(&b.repeat))
-    });
-    let mut stacks: Vec<Stack> = Vec::new();
-    let mut cells = Vec::new();
-    let mut previous: Option<Sample> = None;
-    for record in records {
-        let dark = darks.find(record)?;
-        let frame = loader.load(record)?;
-        let limit = (usable_fraction * f64::from(frame.white)) as u16;
-        let clipped = region.indices().filter(|&i| frame.data[i] >= limit).count();
-        let values = region
-            .indices()
-            .map(|i| f64::from(frame.data[i]) - f64::from(dark.mean[i]))
-            .collect();
-        let sample = Sample {
-            exposure_ms: record.exposure_ms,
-            values,
-            dark_variance: dark.variance,
-            dark_count: dark.count as f64,
-        };
-        match stacks.last_mut() {
-            Some(stack) if same_exposure(stack.exposure_ms, record.exposure_ms) => {
-                stack.repeats += 1.0;
-                stack.clipped = stack.clipped.max(clipped);
-                for (mean, value) in stack.signal.iter_mut().zip(&sample.values) {
-                    *mean += (value - *mean) / stack.repeats;
-                }
-            }
-            _ => stacks.push(Stack {
-                exposure_ms: record.exposure_ms,
-                signal: sample.values.clone(),
-                repeats: 1.0,
-                dark_count: sample.dark_count,
-                dark_variance: sample.dark_variance,
-                clipped,
-                title: title(record),
-            }),
-        }
-        if clipped > 0 {
-            previous = None;
-            continue;
-        }
-        if let Some(previous) = &previous {
-            cells.extend(pair_cells(previous, &sample, region));
-        }
-        previous = Some(sample);
-    }
-    Ok((stacks, cells))
 }

@@ -8,13 +8,18 @@ mod crop;
 mod dark;
 mod decode;
 mod frames;
+mod judge;
+mod lamp;
 mod noise;
 mod report;
 mod run;
+mod stack;
 mod statistics;
 mod white;
 
 pub use decode::{RawFrame, decode, decode_file};
+pub use judge::FrameJudge;
+pub use lamp::{LampReport, LampVisit};
 pub use noise::NoiseReport;
 pub use report::{Budget, Condition, ConfigurationReport, MeasureOptions, MeasureReport};
 pub use run::measure_session;

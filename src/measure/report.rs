@@ -1,5 +1,6 @@
 //! Choices of the measurement, and what it says beside the intensities.
 
+use super::lamp::LampReport;
 use super::noise::NoiseReport;
 use super::white::WhiteReport;
 use serde::Serialize;
@@ -54,13 +55,16 @@ pub struct Budget {
     pub white: f64,
     /// Uncertainty of the standard's reflectance factor (common to all configurations).
     pub reference: f64,
+    /// Noise of the reference frames that follow the lamp (largely common to neighboring configurations), and what is
+    /// not known of the lamp in a stretch of work without such frames.
+    pub drift: f64,
 }
 
 impl Budget {
     /// The standard error: root of the sum of squares.
     pub fn total(&self) -> f64 {
         let other = self.sampling.powi(2) + self.white.powi(2) + self.reference.powi(2);
-        (self.noise().powi(2) + other).sqrt()
+        (self.noise().powi(2) + other + self.drift.powi(2)).sqrt()
     }
 
     /// The part that more light or more frames would reduce.
@@ -99,6 +103,8 @@ pub struct MeasureReport {
     pub white: WhiteReport,
     /// The noise.
     pub noise: NoiseReport,
+    /// The lamp's brightness over the session.
+    pub lamp: LampReport,
     /// Pixels left out because their dark stands out.
     pub hot_pixels: usize,
     /// Frames read.

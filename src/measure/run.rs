@@ -2,14 +2,16 @@
 
 use super::crop::{ChannelSums, ExposureSums, Texture, exposure_sums};
 use super::dark::Darks;
-use super::frames::{Loader, Region, read_stacks};
+use super::frames::{Loader, Region, Taken, taken};
+use super::lamp::{Lamp, Level};
 use super::noise::{self, Cell, NoiseReport};
 use super::report::{Budget, Condition, ConfigurationReport, MeasureOptions, MeasureReport};
+use super::stack::{Stack, read_stacks};
 use super::white::{TERMS, White};
-use crate::base::{Error, Result, Watch};
+use crate::base::{Context, Error, Result, Watch};
 use crate::session::{
-    Configuration, Coverage, FrameKind, FrameRecord, Intensity, Manifest, Measurements, Projection,
-    SessionFolder,
+    Configuration, Coverage, FrameKind, Intensity, Manifest, Measurements, Projection,
+    SessionFolder, read_journal,
 };
 use rayon::prelude::*;
 
@@ -41,31 +43,34 @@ pub fn measure_session(
 ) -> Result<(Measurements, MeasureReport)> {
     let manifest = session.manifest()?;
     let plan = session.plan()?;
-    let records = session.frames()?;
-    check_records(&records, |id| plan.configuration(id).is_some())?;
+    let frames = taken(read_journal(&session.journal_path())?);
+    check_frames(&frames, |id| plan.configuration(id).is_some())?;
     let coverages = plan
         .configurations
         .iter()
         .map(|c| Projection::new(&manifest.camera, c).coverage(manifest.sample_square_mm))
         .collect::<Result<Vec<_>>>()?;
-    let loader = Loader::new(session, &manifest, &records, watch)?;
-    let of_kind = |kind: FrameKind| -> Vec<&FrameRecord> {
-        records.iter().filter(|r| r.kind == kind).collect()
+    let loader = Loader::new(session, &manifest, &frames, watch)?;
+    let of_kind = |kind: FrameKind| -> Vec<&Taken> {
+        frames.iter().filter(|f| f.record.kind == kind).collect()
     };
     let darks = Darks::read(&loader, &of_kind(FrameKind::Dark), options.hot_sigma)?;
-    for frame in records.iter().filter(|r| r.kind != FrameKind::Dark) {
-        darks.find(frame)?;
-    }
+    let references = of_kind(FrameKind::Reference);
+    let (mut lamp, mut cells) = read_lamp(&loader, &manifest, &references, &darks, options)?;
+    let whites = of_kind(FrameKind::White);
+    lamp.note_white(&whites);
 
     let bounds = union(&coverages, darks.size);
     let white_region = Region::whole_box(bounds, darks.size[0], darks.cfa, &darks.hot);
-    let (white_stacks, mut cells) = read_stacks(
+    let (white_stacks, white_cells) = read_stacks(
         &loader,
-        &of_kind(FrameKind::White),
+        &whites,
         &white_region,
         &darks,
+        &lamp,
         options.usable_fraction,
     )?;
+    cells.extend(white_cells);
     let white = White::fit(&manifest, &white_region, bounds, &white_stacks)?;
     drop(white_stacks);
 
@@ -74,7 +79,19 @@ pub fn measure_session(
         .par_iter()
         .zip(&coverages)
         .map(|(c, coverage)| {
-            read_configuration(&loader, &records, c, coverage, &darks, &white, options)
+            let own =
+                |f: &&Taken| f.record.kind == FrameKind::Sample && f.record.config == Some(c.id);
+            let own: Vec<&Taken> = frames.iter().filter(own).collect();
+            let region = Region::covered(coverage, darks.size, darks.cfa, &darks.hot);
+            let (stacks, cells) = read_stacks(
+                &loader,
+                &own,
+                &region,
+                &darks,
+                &lamp,
+                options.usable_fraction,
+            )?;
+            Ok(Reading::of(c, coverage, &region, &stacks, cells, &white))
         })
         .collect();
     let readings = readings.into_iter().collect::<Result<Vec<_>>>()?;
@@ -85,17 +102,23 @@ pub fn measure_session(
     let mut intensities = Vec::new();
     let mut reports = Vec::new();
     for reading in &readings {
-        let (intensity, report) = reduce(reading, &white, &manifest, a, options)?;
+        let (intensity, report) = reduce(reading, &white, &lamp, &manifest, a, options)?;
         intensities.extend(intensity);
         reports.push(report);
     }
     let report = MeasureReport {
         synthetic: manifest.synthetic,
-        warnings: warnings(&darks, &noise, &white, a),
+        warnings: {
+            let mut all = warnings(&darks, &noise, &white, a);
+            let lit = frames.iter().filter(|f| f.record.kind != FrameKind::Dark);
+            all.extend(lamp.warnings(lit.map(|f| f.moment)));
+            all
+        },
+        lamp: lamp.report(a),
         white: white.report(a),
         noise,
         hot_pixels: darks.hot.iter().filter(|&&h| h).count(),
-        frames: records.len(),
+        frames: frames.len(),
         configurations: reports,
     };
     if intensities.is_empty() {
@@ -115,8 +138,9 @@ pub fn measure_session(
     Ok((Measurements { intensities }, report))
 }
 
-fn check_records(records: &[FrameRecord], known: impl Fn(u32) -> bool) -> Result<()> {
-    for record in records.iter().filter(|r| r.kind == FrameKind::Sample) {
+fn check_frames(frames: &[Taken], known: impl Fn(u32) -> bool) -> Result<()> {
+    let records = || frames.iter().map(|f| &f.record);
+    for record in records().filter(|r| r.kind == FrameKind::Sample) {
         if !record.config.is_some_and(&known) {
             return Err(Error::new(format!(
                 "frame {} belongs to no configuration of the plan",
@@ -125,19 +149,36 @@ fn check_records(records: &[FrameRecord], known: impl Fn(u32) -> bool) -> Result
             .with_hint("journal.jsonl and plan.toml are not of the same session"));
         }
     }
-    let missing = |kind| !records.iter().any(|r| r.kind == kind);
-    for (kind, name) in [
-        (FrameKind::Sample, "sample"),
-        (FrameKind::White, "white"),
-        (FrameKind::Dark, "dark"),
-    ] {
-        if missing(kind) {
-            return Err(Error::new(format!("the session has no {name} frames")).with_hint(
-                "a session needs sample frames, white frames, and dark frames of every exposure",
+    for kind in [FrameKind::Sample, FrameKind::White, FrameKind::Dark] {
+        if !records().any(|r| r.kind == kind) {
+            return Err(Error::new(format!(
+                "the session has no {} frames",
+                kind.name()
+            ))
+            .with_hint(
+                "a session needs sample frames, white frames, and dark frames of every exposure used",
             ));
         }
     }
     Ok(())
+}
+
+/// Follows the lamp over the visits of the reference pose, if there are any.
+fn read_lamp(
+    loader: &Loader<'_>,
+    manifest: &Manifest,
+    references: &[&Taken],
+    darks: &Darks,
+    options: &MeasureOptions,
+) -> Result<(Lamp, Vec<Cell>)> {
+    if references.is_empty() {
+        return Ok((Lamp::default(), Vec::new()));
+    }
+    let coverage = Projection::new(&manifest.camera, &manifest.white.configuration)
+        .coverage(manifest.sample_square_mm)
+        .context(|| "reference geometry")?;
+    let region = Region::covered(&coverage, darks.size, darks.cfa, &darks.hot);
+    Lamp::read(loader, references, &region, darks, options.usable_fraction)
 }
 
 /// The box around all crops and the pixels next to them.
@@ -159,46 +200,41 @@ fn union(coverages: &[Coverage], [width, height]: [usize; 2]) -> [usize; 4] {
     ]
 }
 
-fn read_configuration(
-    loader: &Loader<'_>,
-    records: &[FrameRecord],
-    configuration: &Configuration,
-    coverage: &Coverage,
-    darks: &Darks,
-    white: &White,
-    options: &MeasureOptions,
-) -> Result<Reading> {
-    let own: Vec<&FrameRecord> = records
-        .iter()
-        .filter(|r| r.kind == FrameKind::Sample && r.config == Some(configuration.id))
-        .collect();
-    let region = Region::covered(coverage, darks.size, darks.cfa, &darks.hot);
-    let (stacks, cells) = read_stacks(loader, &own, &region, darks, options.usable_fraction)?;
-    let usable = || stacks.iter().filter(|s| s.clipped == 0);
-    let saturated = match (usable().next(), stacks.first()) {
-        (None, Some(shortest)) => {
-            let [left, top, right, bottom] = coverage.bounds();
-            Some(format!(
-                "saturated: {} of {} pixels of {} are too bright (crop in columns {left} to {right}, rows {top} to {bottom})",
-                shortest.clipped,
-                region.pixels.len(),
-                shortest.title
-            ))
+impl Reading {
+    fn of(
+        configuration: &Configuration,
+        coverage: &Coverage,
+        region: &Region,
+        stacks: &[Stack],
+        cells: Vec<Cell>,
+        white: &White,
+    ) -> Self {
+        let usable = || stacks.iter().filter(|s| s.clipped == 0);
+        let saturated = match (usable().next(), stacks.first()) {
+            (None, Some(shortest)) => {
+                let [left, top, right, bottom] = coverage.bounds();
+                Some(format!(
+                    "saturated: {} of {} pixels of {} are too bright (crop in columns {left} to {right}, rows {top} to {bottom})",
+                    shortest.clipped,
+                    region.pixels.len(),
+                    shortest.title
+                ))
+            }
+            _ => None,
+        };
+        Self {
+            configuration: *configuration,
+            area_px: coverage.area(),
+            sums: usable().map(|s| exposure_sums(region, s, white)).collect(),
+            texture: usable()
+                .next_back()
+                .map(|s| Texture::measure(region, s, white))
+                .unwrap_or_default(),
+            cells,
+            saturated,
+            captured: !stacks.is_empty(),
         }
-        _ => None,
-    };
-    Ok(Reading {
-        configuration: *configuration,
-        area_px: coverage.area(),
-        sums: usable().map(|s| exposure_sums(&region, s, white)).collect(),
-        texture: usable()
-            .next_back()
-            .map(|s| Texture::measure(&region, s, white))
-            .unwrap_or_default(),
-        cells,
-        saturated,
-        captured: !own.is_empty(),
-    })
+    }
 }
 
 fn noise_report(cells: &[Cell], white: &White, darks: &Darks) -> Result<NoiseReport> {
@@ -257,6 +293,7 @@ fn warnings(darks: &Darks, noise: &NoiseReport, white: &White, a: f64) -> Vec<St
 fn reduce(
     reading: &Reading,
     white: &White,
+    lamp: &Lamp,
     manifest: &Manifest,
     a: f64,
     options: &MeasureOptions,
@@ -287,9 +324,8 @@ fn reduce(
     for (channel, mean) in mean.iter_mut().enumerate() {
         let factor_se = manifest.white.reflectance_factor_se[channel]
             / manifest.white.reflectance_factor[channel];
-        let sums: Vec<&ChannelSums> = reading.sums.iter().map(|s| &s.channels[channel]).collect();
         check_dark(reading, channel, a)?;
-        let (value, mut budget) = combine(&sums, white, channel, a);
+        let (value, mut budget) = combine(&reading.sums, white, lamp, channel, a);
         budget.sampling = reading.texture.variance(channel, a).sqrt();
         budget.reference = value.abs() * factor_se;
         *mean = value;
@@ -321,12 +357,19 @@ fn reduce(
 }
 
 /// One channel's mean over all usable exposures, and its budget without sampling and reference.
-fn combine(sums: &[&ChannelSums], white: &White, channel: usize, a: f64) -> (f64, Budget) {
-    let weights: Vec<f64> = sums.iter().map(|s| 1.0 / variance(s, a)).collect();
+fn combine(
+    exposures: &[ExposureSums],
+    white: &White,
+    lamp: &Lamp,
+    channel: usize,
+    a: f64,
+) -> (f64, Budget) {
+    let sums = || exposures.iter().map(|e| &e.channels[channel]);
+    let weights: Vec<f64> = sums().map(|s| 1.0 / variance(s, a)).collect();
     let total: f64 = weights.iter().sum();
     let (mut value, mut shot, mut read, mut dark) = (0.0, 0.0, 0.0, 0.0);
     let mut phi = [0.0; TERMS];
-    for (s, weight) in sums.iter().zip(&weights) {
+    for (s, weight) in sums().zip(&weights) {
         let w = weight / total;
         value += w * s.mean;
         shot += w * w * a * s.shot.max(0.0);
@@ -336,11 +379,16 @@ fn combine(sums: &[&ChannelSums], white: &White, channel: usize, a: f64) -> (f64
             *p += w * t;
         }
     }
+    let levels = exposures.iter().zip(&weights);
+    let levels: Vec<(f64, &Level)> = levels.map(|(e, w)| (w / total, &e.level)).collect();
+    let white_levels: Vec<(f64, &Level)> = white.levels.iter().map(|(w, l)| (*w, l)).collect();
+    let drift = lamp.relative_variance(&levels, &white_levels, channel, a);
     let budget = Budget {
         shot: shot.sqrt(),
         read: read.sqrt(),
         dark: dark.sqrt(),
         white: white.variance(channel, &phi, a).sqrt(),
+        drift: value.abs() * drift.sqrt(),
         ..Budget::default()
     };
     (value, budget)

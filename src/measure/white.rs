@@ -10,8 +10,10 @@
 //! with (u, v) the offset from the image of the sample center over the distance to the box's farthest corner. A gradient of the light
 //! across the panel cannot be told from vignetting; shoot the panel with the light near its normal.
 
-use super::frames::{Region, Stack};
+use super::frames::Region;
+use super::lamp::Level;
 use super::noise::Cell;
+use super::stack::Stack;
 use crate::base::{Error, Result};
 use crate::session::Manifest;
 use serde::Serialize;
@@ -44,6 +46,8 @@ pub(super) struct White {
     pub(super) radiance: [f64; 3],
     corner: [f64; 2],
     exposures_ms: Vec<f64>,
+    /// The lamp's level in each usable exposure, and that exposure's part in the fit.
+    pub(super) levels: Vec<(f64, Level)>,
 }
 
 /// One channel's fit. Variances are `a first + second`, with `a` the slope of the photon transfer.
@@ -97,10 +101,16 @@ impl White {
         let fits: [Fit; 3] = fits
             .try_into()
             .map_err(|_| Error::new("three channels were expected"))?;
+        let total: f64 = usable.iter().map(|s| exposed(s)).sum();
+        let levels = usable
+            .iter()
+            .map(|s| (exposed(s) / total, s.level.clone()))
+            .collect();
         Ok(Self {
             center,
             scale,
             fits,
+            levels,
             radiance: manifest.white.reflectance_factor.map(|f| f * cosine),
             corner,
             exposures_ms: usable.iter().map(|s| s.exposure_ms).collect(),
@@ -170,6 +180,11 @@ fn dot(a: &Terms, b: &Terms) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
+/// Milliseconds exposed in all.
+fn exposed(stack: &Stack) -> f64 {
+    stack.exposure_ms * stack.repeats
+}
+
 /// Least squares of the rate averaged over exposures (weights proportional to exposed time), and the covariance of its
 /// coefficients by propagation of each pixel's own variance.
 fn fit_channel(
@@ -178,8 +193,7 @@ fn fit_channel(
     channel: usize,
     terms: impl Fn(f64, f64) -> Terms,
 ) -> Result<Fit> {
-    let time = |s: &Stack| s.exposure_ms * s.repeats;
-    let total: f64 = stacks.iter().map(|s| time(s)).sum();
+    let total: f64 = stacks.iter().map(|s| exposed(s)).sum();
     let mut normal = [[0.0; TERMS]; TERMS];
     let mut right = [0.0; TERMS];
     let mut square = 0.0;
@@ -189,7 +203,7 @@ fn fit_channel(
     let constant: f64 = stacks
         .iter()
         .map(|s| {
-            let weight = time(s) / total / s.exposure_ms;
+            let weight = exposed(s) / total / s.time(channel);
             weight * weight * s.dark_variance * (1.0 / s.repeats + 1.0 / s.dark_count)
         })
         .sum();
@@ -200,7 +214,7 @@ fn fit_channel(
         let phi = terms(pixel.x as f64 + 0.5, pixel.y as f64 + 0.5);
         let (mut rate, mut shot) = (0.0, 0.0);
         for s in stacks {
-            let weight = time(s) / total / s.exposure_ms;
+            let weight = exposed(s) / total / s.time(channel);
             rate += weight * s.signal[i];
             shot += weight * weight * s.signal[i] / s.repeats;
         }

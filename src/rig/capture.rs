@@ -11,7 +11,9 @@
 //!
 //! Does not reconnect by itself: after a lost device the position is unknown, and somebody should look before it moves.
 
-pub use super::shots::{CaptureOptions, CapturePlan, Order, PlannedShot, Stop, plan_capture};
+pub use super::shots::{
+    CaptureOptions, CapturePlan, Order, PlannedShot, Stop, plan_capture, white_id,
+};
 
 use super::description::RigDescription;
 use super::devices::{Camera, CapturedFrame, Judge, Shot};
@@ -20,7 +22,7 @@ use super::kinematics::AxisAngles;
 use super::machine::{Connection, Halt, Opener, Rig, Step};
 use super::operator::{Operator, Request, Seen, Taken};
 use super::outlook::Outlook;
-use super::shots::{History, white_id};
+use super::shots::History;
 use super::transport::Clock;
 use super::utc::utc_now;
 use super::wire_log::{RecordingTransport, WireLog};

@@ -78,4 +78,4 @@ pub use zaber_model::{ZaberAxis, ZaberFault, ZaberFaultKind, ZaberModel, ZaberOp
 
 pub mod virtual_camera;
 
-pub use virtual_camera::{Appearance, SensorModel, VirtualCamera, white_radiance};
+pub use virtual_camera::{Appearance, LampLaw, SensorModel, VirtualCamera, white_radiance};

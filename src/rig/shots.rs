@@ -381,7 +381,7 @@ fn expected(shot: &Shot, middle_ms: Option<f64>) -> FrameRecord {
 }
 
 /// An id for the white geometry that the plan does not use.
-pub(super) fn white_id(plan: &Plan) -> u32 {
+pub fn white_id(plan: &Plan) -> u32 {
     (0..)
         .find(|id| plan.configuration(*id).is_none())
         .unwrap_or(0)

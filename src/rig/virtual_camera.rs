@@ -5,8 +5,9 @@
 //! raw       = clip(round(black + electrons / gain + read_noise normal), 0, white)
 //! ```
 //!
-//! with `M` the normalized radiance averaged over the pixel's area, `V` the vignetting and `gain` in electrons per raw
-//! value. Not modeled: lens blur, stray light, non-linearity, unequal pixels, blooming, lamp drift.
+//! with `M` the normalized radiance averaged over the pixel's area (times the lamp's brightness, when it drifts), `V` the
+//! vignetting and `gain` in electrons per raw value. Not modeled: lens blur, stray light, non-linearity, unequal pixels,
+//! blooming.
 
 use super::{Camera, CapturedFrame, Shot};
 use crate::base::{Error, Result};
@@ -25,6 +26,10 @@ pub trait Appearance: Send + Sync {
     /// never asked for darks. A white frame shows [`white_radiance`], everywhere.
     fn radiance(&self, kind: FrameKind, pose: &Configuration, point_mm: [f64; 2]) -> [f64; 3];
 }
+
+/// The lamp's brightness, r, g, b, at each shot with light; 1 is what radiances are stated for. Whoever makes it lets it
+/// count shots or read a clock.
+pub type LampLaw = Box<dyn FnMut(&Shot) -> [f64; 3] + Send + Sync>;
 
 /// The normalized radiance of the white standard at its reference geometry:
 /// `M = pi f_r cos(theta_light) = reflectance_factor cos(theta_light)`.
@@ -157,7 +162,8 @@ pub struct NoiseFreeImage {
 
 /// A [`Camera`] whose frames show an [`Appearance`].
 ///
-/// Frames are a function of sensor, appearance, seed and shot alone, on any number of threads.
+/// Frames are a function of sensor, appearance, seed, shot and the lamp's brightness alone, on any number of threads: the
+/// order of shots does not matter, and a shot asked for again after an interruption gives the same frame.
 pub struct VirtualCamera {
     sensor: SensorModel,
     appearance: Box<dyn Appearance>,
@@ -166,6 +172,7 @@ pub struct VirtualCamera {
     factors: BTreeMap<u32, [f64; 3]>,
     /// The last picture; brackets and repeats show it again.
     last: Option<(FrameKind, Configuration, NoiseFreeImage)>,
+    lamp: Option<LampLaw>,
 }
 
 impl VirtualCamera {
@@ -181,7 +188,15 @@ impl VirtualCamera {
             seed,
             factors: BTreeMap::new(),
             last: None,
+            lamp: None,
         })
+    }
+
+    /// Lets the lamp's brightness change from shot to shot.
+    #[must_use]
+    pub fn with_lamp(mut self, law: LampLaw) -> Self {
+        self.lamp = Some(law);
+        self
     }
 
     /// The sensor.
@@ -304,16 +319,31 @@ impl VirtualCamera {
         Ok(factors)
     }
 
-    /// The raw values of one shot.
-    fn raw(&self, shot: &Shot, picture: Option<&NoiseFreeImage>) -> Vec<u16> {
+    /// The lamp's brightness at a shot.
+    fn brightness(&mut self, shot: &Shot) -> Result<[f64; 3]> {
+        let Some(law) = self.lamp.as_mut().filter(|_| shot.kind != FrameKind::Dark) else {
+            return Ok([1.0; 3]);
+        };
+        let brightness = law(shot);
+        if !brightness.iter().all(|b| (0.0..1e3).contains(b)) {
+            return Err(Error::new(format!(
+                "virtual camera: lamp brightness {brightness:?}, expected numbers from 0 to 1000"
+            )));
+        }
+        Ok(brightness)
+    }
+
+    /// The raw values of one shot, with the lamp at this brightness.
+    fn raw(&self, shot: &Shot, picture: Option<&NoiseFreeImage>, lamp: [f64; 3]) -> Vec<u16> {
         let sensor = &self.sensor;
         let mut data = vec![0; sensor.width * sensor.height];
         data.par_chunks_mut(sensor.width)
             .enumerate()
             .for_each(|(y, row)| {
                 for (x, value) in row.iter_mut().enumerate() {
-                    let radiance = picture
-                        .map_or(0.0, |p| p.pixels[y * p.width + x][sensor.cfa.channel(y, x)]);
+                    let channel = sensor.cfa.channel(y, x);
+                    let radiance =
+                        picture.map_or(0.0, |p| p.pixels[y * p.width + x][channel] * lamp[channel]);
                     let mut random = self.pixel_stream(shot, x, y);
                     *value = self.pixel_value(radiance, x, y, shot.exposure_ms, &mut random);
                 }
@@ -324,7 +354,8 @@ impl VirtualCamera {
     fn pixel_stream(&self, shot: &Shot, x: usize, y: usize) -> Random {
         Random::keyed(&[
             self.seed,
-            shot.kind as u64,
+            // Kind and visit share a word.
+            shot.kind as u64 | u64::from(shot.visit) << 8,
             shot.config.map_or(u64::MAX, u64::from),
             shot.exposure_ms.to_bits(),
             u64::from(shot.repeat),
@@ -365,6 +396,7 @@ impl Camera for VirtualCamera {
                 shot.exposure_ms
             )));
         }
+        let lamp = self.brightness(shot)?;
         let shown = self
             .last
             .as_ref()
@@ -380,7 +412,7 @@ impl Camera for VirtualCamera {
         let bytes = write_dng(&DngImage {
             width: self.sensor.width,
             height: self.sensor.height,
-            data: &self.raw(shot, picture),
+            data: &self.raw(shot, picture, lamp),
             bits: self.sensor.bits,
             cfa: self.sensor.cfa,
             black: self.sensor.black,
@@ -556,7 +588,7 @@ mod tests {
             pixels: vec![[0.5; 3]; 240 * 180],
         };
         let check = |read_noise: f64| {
-            let raw = camera.raw(&shot(FrameKind::Sample, 30.0, 0), Some(&image));
+            let raw = camera.raw(&shot(FrameKind::Sample, 30.0, 0), Some(&image), [1.0; 3]);
             let mut green = Running::default();
             for (i, &v) in raw.iter().enumerate() {
                 if CfaPattern::Rggb.channel(i / 240, i % 240) == 1 {
@@ -600,6 +632,81 @@ mod tests {
     }
 
     #[test]
+    fn an_interrupted_capture_gives_the_same_frames_when_it_goes_on() {
+        let camera = || VirtualCamera::new(SensorModel::default(), Box::new(Slope), 5).unwrap();
+        let visit = |kind, visit| Shot {
+            visit,
+            config: None,
+            ..shot(kind, 30.0, 0)
+        };
+        let shots = [
+            visit(FrameKind::White, 0),
+            visit(FrameKind::Reference, 0),
+            shot(FrameKind::Sample, 30.0, 0),
+            shot(FrameKind::Meter, 30.0, 0),
+            visit(FrameKind::Reference, 1),
+            visit(FrameKind::Dark, 0),
+        ];
+        let mut whole = camera();
+        let whole: Vec<Vec<u8>> = shots
+            .iter()
+            .map(|s| whole.expose(s).unwrap().bytes)
+            .collect();
+        // A camera that is asked for the later shots only, and backwards.
+        let mut again = camera();
+        for (shot, bytes) in shots.iter().zip(&whole).skip(2).rev() {
+            assert!(again.expose(shot).unwrap().bytes == *bytes, "{shot:?}");
+        }
+        // No two of them are the same frame, the visits of the reference included.
+        for (i, a) in whole.iter().enumerate() {
+            assert!(whole[..i].iter().all(|b| a != b), "frame {i} is a copy");
+        }
+    }
+
+    #[test]
+    fn a_drifting_lamp_scales_what_is_lit_and_nothing_else() {
+        let sensor = SensorModel {
+            read_noise: 0.0,
+            dark_current: 0.0,
+            gain: 1e6,
+            ..SensorModel::default()
+        };
+        let mut lit = 0;
+        let law = move |_: &Shot| {
+            lit += 1;
+            [1.0, 0.5, 0.25].map(|b| if lit == 1 { 1.0 } else { b })
+        };
+        let mut camera = VirtualCamera::new(sensor, Box::new(Slope), 5)
+            .unwrap()
+            .with_lamp(Box::new(law));
+        let mut mean = |kind| {
+            let bytes = camera.expose(&shot(kind, 30.0, 0)).unwrap().bytes;
+            // The pixels lie at the end of the file, two in three bytes, and begin with a red and a green one.
+            let row = &bytes[bytes.len() - 180 * 360..][..360];
+            let pair = |c: &[u8]| {
+                let red = u16::from(c[0]) << 4 | u16::from(c[1]) >> 4;
+                let green = (u16::from(c[1]) & 15) << 8 | u16::from(c[2]);
+                [f64::from(red) - 128.0, f64::from(green) - 127.5]
+            };
+            row.chunks(3)
+                .map(pair)
+                .fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]])
+        };
+        let first = mean(FrameKind::Sample);
+        let dark = mean(FrameKind::Dark);
+        let later = mean(FrameKind::Reference);
+        assert!(first[0] > 1e4 && dark[0].abs() < 61.0, "{first:?} {dark:?}");
+        assert!(
+            (later[0] / first[0] - 1.0).abs() < 2e-3,
+            "{first:?} {later:?}"
+        );
+        assert!(
+            (later[1] / first[1] - 0.5).abs() < 2e-3,
+            "{first:?} {later:?}"
+        );
+    }
+
+    #[test]
     fn senseless_sensors_shots_and_pictures_are_refused() {
         let sensor = SensorModel {
             gain: f64::NAN,
@@ -617,6 +724,10 @@ mod tests {
         assert!(error.report().contains("configuration 3"), "{error}");
         assert!(camera.expose(&shot(FrameKind::Dark, 1.0, 0)).is_ok());
         assert!(camera.expose(&shot(FrameKind::Dark, f64::NAN, 0)).is_err());
+        let camera = VirtualCamera::new(SensorModel::default(), Box::new(Slope), 1).unwrap();
+        let mut camera = camera.with_lamp(Box::new(|_| [1.0, f64::NAN, 1.0]));
+        let error = camera.expose(&shot(FrameKind::Sample, 1.0, 0)).unwrap_err();
+        assert!(error.report().contains("lamp brightness"), "{error}");
     }
 
     #[test]

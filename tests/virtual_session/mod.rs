@@ -5,9 +5,12 @@ use goniofit::math::{PolarDirection, Random};
 use goniofit::rig::virtual_camera::white_radiance;
 use goniofit::rig::{Appearance, Camera, SensorModel, Shot, VirtualCamera};
 use goniofit::session::{
-    Configuration, FrameKind, FrameRecord, Manifest, Plan, SessionFolder, WhiteReference,
+    Configuration, Event, FrameKind, FrameRecord, Manifest, Plan, SessionFolder, WhiteReference,
 };
 use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+pub mod pulls;
 
 /// A cloth-like picture: slow waves, a weave of 0.4 mm, and grain; the white panel is uniform.
 pub struct Cloth {
@@ -51,6 +54,18 @@ pub struct Setup {
     pub white_repeats: u32,
     pub dark_repeats: u32,
     pub grain: f64,
+    /// The reference pose is visited at the beginning, after every so many sample shots, and at the end; 0 = never.
+    pub reference_every: usize,
+    pub reference_exposures_ms: Vec<f64>,
+    pub reference_mean: [f64; 3],
+    /// Stretches without a visit.
+    pub unvisited: Vec<usize>,
+    /// Sample shots before which the capture is interrupted and goes on.
+    pub breaks: Vec<usize>,
+    /// Takes a metering shot before each configuration.
+    pub meter: bool,
+    /// The lamp's brightness by time, 0 at the first shot after the whites and 1 at the last, and by stretch.
+    pub lamp: Option<fn(f64, usize) -> [f64; 3]>,
     /// Standard error of the stated reflectance factor; the stated one is drawn around the true one.
     pub white_se: f64,
     pub seed: u64,
@@ -81,6 +96,13 @@ impl Setup {
             white_repeats: 2,
             dark_repeats: 3,
             grain: 0.5,
+            reference_every: 0,
+            reference_exposures_ms: vec![16.0],
+            reference_mean: [0.6, 0.5, 0.55],
+            unvisited: Vec::new(),
+            breaks: Vec::new(),
+            meter: false,
+            lamp: None,
             white_se: 0.003,
             seed,
         }
@@ -120,6 +142,105 @@ pub fn folder() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").unwrap_or_else(|_| tempfile::tempdir().unwrap())
 }
 
+/// What happens in a session.
+enum Step {
+    /// A stretch begins.
+    Ready,
+    Shot(Shot),
+}
+
+/// The steps of a session: darks, whites, then samples with visits of the reference pose in between.
+struct Script<'a> {
+    setup: &'a Setup,
+    white: Configuration,
+    steps: Vec<Step>,
+    stretch: usize,
+    visits: u32,
+}
+
+impl Script<'_> {
+    fn shots(
+        &mut self,
+        kind: FrameKind,
+        config: Option<u32>,
+        pose: Configuration,
+        exposures_ms: &[f64],
+        repeats: u32,
+    ) {
+        for &exposure_ms in exposures_ms {
+            for repeat in 0..repeats {
+                let visit = match kind {
+                    FrameKind::Reference => self.visits,
+                    _ => 0,
+                };
+                let shot = Shot {
+                    kind,
+                    config,
+                    pose,
+                    exposure_ms,
+                    repeat,
+                    visit,
+                };
+                self.steps.push(Step::Shot(shot));
+            }
+        }
+    }
+
+    fn visit(&mut self) {
+        let setup = self.setup;
+        if setup.reference_every > 0 && !setup.unvisited.contains(&self.stretch) {
+            let exposures_ms = &setup.reference_exposures_ms;
+            self.shots(FrameKind::Reference, None, self.white, exposures_ms, 1);
+            self.visits += 1;
+        }
+    }
+
+    fn write(mut self) -> Vec<Step> {
+        let setup = self.setup;
+        let (white, pose) = (FrameKind::White, self.white);
+        self.steps.push(Step::Ready);
+        let dark = FrameKind::Dark;
+        self.shots(
+            dark,
+            None,
+            pose,
+            &setup.dark_exposures_ms,
+            setup.dark_repeats,
+        );
+        self.shots(white, None, pose, &setup.exposures_ms, setup.white_repeats);
+        self.visit();
+        let mut taken = 0;
+        for pose in setup.configurations() {
+            if setup.meter {
+                self.shots(FrameKind::Meter, Some(pose.id), pose, &[7.0], 1);
+            }
+            let first = self.steps.len();
+            let sample = FrameKind::Sample;
+            self.shots(
+                sample,
+                Some(pose.id),
+                pose,
+                &setup.exposures_ms,
+                setup.sample_repeats,
+            );
+            for step in self.steps.split_off(first) {
+                if setup.breaks.contains(&taken) {
+                    self.steps.push(Step::Ready);
+                    self.stretch += 1;
+                    self.visit();
+                }
+                taken += 1;
+                self.steps.push(step);
+                if setup.reference_every > 0 && taken % setup.reference_every == 0 {
+                    self.visit();
+                }
+            }
+        }
+        self.visit();
+        self.steps
+    }
+}
+
 /// Records the session into `root`.
 pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
     let white = true_white();
@@ -135,6 +256,9 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
     };
     let mut light = camera(&setup.sensor, &mut random);
     let mut dark = camera(&setup.dark_sensor, &mut random);
+    let brightness = Arc::new(Mutex::new([1.0; 3]));
+    let now = brightness.clone();
+    light = light.with_lamp(Box::new(move |_| *now.lock().unwrap()));
     let mut stated = white.clone();
     for c in 0..3 {
         stated.reflectance_factor_se[c] = setup.white_se;
@@ -159,51 +283,50 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
         description: String::new(),
         configurations: configurations.clone(),
     };
-    let mut shots = Vec::new();
-    let mut add = |kind, config: Option<u32>, pose: Configuration, repeats| {
-        let exposures_ms = match kind {
-            FrameKind::Dark => &setup.dark_exposures_ms,
-            _ => &setup.exposures_ms,
-        };
-        for &exposure_ms in exposures_ms {
-            for repeat in 0..repeats {
-                shots.push(Shot {
-                    kind,
-                    config,
-                    pose,
-                    exposure_ms,
-                    repeat,
-                    visit: 0,
-                });
-            }
-        }
-    };
-    add(
-        FrameKind::Dark,
-        None,
-        white.configuration,
-        setup.dark_repeats,
-    );
-    add(
-        FrameKind::White,
-        None,
-        white.configuration,
-        setup.white_repeats,
-    );
     for (pose, truth) in configurations.iter().zip(&setup.poses) {
         light.rescale_to(pose, SAMPLE_SQUARE_MM, truth.2).unwrap();
-        add(
-            FrameKind::Sample,
-            Some(pose.id),
-            *pose,
-            setup.sample_repeats,
-        );
     }
+    let reference = white.configuration;
+    light
+        .rescale_to(&reference, SAMPLE_SQUARE_MM, setup.reference_mean)
+        .unwrap();
+    let script = Script {
+        setup,
+        white: reference,
+        steps: Vec::new(),
+        stretch: 0,
+        visits: 0,
+    };
+    let steps = script.write();
+    let takes_time = |s: &&Step| matches!(s, Step::Shot(shot) if shot.kind != FrameKind::Meter);
+    let early = |s: &&Step| matches!(s, Step::Shot(shot) if matches!(shot.kind, FrameKind::Dark | FrameKind::White));
+    let start_s = steps.iter().filter(early).count() as f64;
+    let end_s = steps.iter().filter(takes_time).count() as f64 - 1.0;
     let (session, mut journal) = SessionFolder::create(root, &manifest, &plan, "").unwrap();
-    for (number, shot) in shots.iter().enumerate() {
+    let (mut number, mut stretches, mut elapsed_s) = (0, 0, 0.0);
+    for step in steps {
+        let shot = match step {
+            Step::Shot(shot) => shot,
+            Step::Ready => {
+                let firmware = String::new();
+                let ready = Event::Ready {
+                    firmware,
+                    utc: None,
+                };
+                journal.append(elapsed_s, ready).unwrap();
+                stretches += 1;
+                continue;
+            }
+        };
+        if let Some(law) = setup.lamp {
+            *brightness.lock().unwrap() = law(
+                ((elapsed_s - start_s) / (end_s - start_s)).max(0.0),
+                stretches - 1,
+            );
+        }
         let frame = match shot.kind {
-            FrameKind::Dark => dark.expose(shot).unwrap(),
-            _ => light.expose(shot).unwrap(),
+            FrameKind::Dark => dark.expose(&shot).unwrap(),
+            _ => light.expose(&shot).unwrap(),
         };
         let record = FrameRecord {
             file: FrameRecord::standard_name(
@@ -218,15 +341,20 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
             exposure_ms: frame.exposure_ms,
             repeat: shot.repeat,
             requested_ms: None,
-            visit: 0,
+            visit: shot.visit,
             exposed: None,
             utc: None,
             axes_deg: Default::default(),
             sha256: String::new(),
         };
         session
-            .add_frame(&mut journal, number as f64, record, &frame.bytes)
+            .add_frame(&mut journal, elapsed_s, record, &frame.bytes)
             .unwrap();
+        number += 1;
+        // Metering takes no time, so that sessions with and without it compare.
+        if shot.kind != FrameKind::Meter {
+            elapsed_s += 1.0;
+        }
     }
     session
 }
