@@ -1,21 +1,25 @@
 //! One file per command: reads arguments, composes the rooms, prints.
 //!
-//! stdout is data; everything else goes to stderr. Exit codes: 0 done; 1 finished but not within tolerance; 2 error.
+//! stdout is data; everything else goes to stderr. Exit codes: 0 done; 1 finished but not within tolerance, or ended early
+//! and resumable; 2 error; 3 stopped by the operator; 4 halted the fastest way, position unknown.
 
 // Printing is this room's work.
 #![allow(clippy::print_stderr)]
 
 mod inputs;
 mod output;
+mod ports;
 mod terminal;
 
 mod capture;
 mod demo;
+mod doctor;
 mod fabric;
 mod fit;
 mod measure;
 mod render;
 mod report;
+mod rig;
 mod scatter;
 mod sim;
 mod simulate;
@@ -31,6 +35,11 @@ pub(crate) enum Outcome {
     Done,
     /// Exit code 1: finished, but not within tolerance (not converged, saturated frames).
     OutsideTolerance,
+    /// Exit code 3: the operator stopped the rig; its position is kept where that is possible.
+    Aborted,
+    /// Exit code 4: the operator stopped the rig the fastest way there is; its position is unknown.
+    #[allow(dead_code, reason = "a capture ends this way")]
+    Halted,
 }
 
 /// From a gonioreflectometer's plan to fiber scattering parameters: move the rig, measure the frames, fit, report.
@@ -47,6 +56,8 @@ enum Command {
     Simulate(simulate::Arguments),
     Sim(sim::Arguments),
     Capture(capture::Arguments),
+    Rig(rig::Arguments),
+    Doctor(doctor::Arguments),
     Measure(measure::Arguments),
     Fit(fit::Arguments),
     Render(render::Arguments),
@@ -61,6 +72,8 @@ pub fn main() -> ExitCode {
     match run(arguments.command) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::OutsideTolerance) => ExitCode::from(1),
+        Ok(Outcome::Aborted) => ExitCode::from(3),
+        Ok(Outcome::Halted) => ExitCode::from(4),
         Err(error) => {
             eprintln!("error: {}", error.report());
             ExitCode::from(2)
@@ -74,6 +87,8 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Simulate(a) => simulate::run(a),
         Command::Sim(a) => sim::run(a),
         Command::Capture(a) => capture::run(a),
+        Command::Rig(a) => rig::run(a),
+        Command::Doctor(a) => doctor::run(a),
         Command::Measure(a) => measure::run(a),
         Command::Fit(a) => fit::run(a),
         Command::Render(a) => render::run(a),

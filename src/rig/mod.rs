@@ -18,6 +18,7 @@ mod machine;
 mod model;
 mod operator;
 mod path;
+mod ports;
 mod replay;
 mod replay_camera;
 mod rig_file;
@@ -25,6 +26,7 @@ mod serial;
 mod shots;
 pub mod simulated;
 mod simulator;
+mod stop;
 mod transport;
 mod utc;
 #[cfg(feature = "uvc")]
@@ -44,10 +46,12 @@ pub use machine::{BoardState, Connection, Halt, Opener, Prompt, Rig, Step};
 pub use model::{Fault, FaultKind, Flavor, GrblModel, ModelOptions};
 pub use operator::{Absent, Operator, Request, Seen, Taken};
 pub use path::Leg;
+pub use ports::{SerialPortInfo, probe, serial_ports};
 pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;
 pub use serial::SerialTransport;
 pub use simulator::{ModelTransport, PtySimulator, SharedModel};
+pub use stop::{Stopped, stop_all};
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
 #[cfg(feature = "uvc")]
 pub use uvc::UvcCamera;

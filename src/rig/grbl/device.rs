@@ -7,7 +7,7 @@ use crate::rig::description::Homing;
 use crate::rig::devices::{AxisLimits, Light, Motion, Target, Travel};
 
 impl Grbl<'_> {
-    fn axis_number(&self, letter: char) -> Result<usize> {
+    pub(super) fn axis_number(&self, letter: char) -> Result<usize> {
         LETTERS
             .iter()
             .position(|l| *l == letter)
@@ -163,6 +163,14 @@ impl Motion for Grbl<'_> {
         Grbl::make_safe(self)
     }
 
+    fn says_homed(&mut self) -> Result<bool> {
+        self.reported_homed()
+    }
+
+    fn nudge(&mut self, letter: char, units: f64, speed: f64) -> Result<f64> {
+        self.jog_unhomed(letter, units, speed)
+    }
+
     fn lamp(&mut self) -> Option<&mut dyn Light> {
         Some(self)
     }
@@ -183,6 +191,10 @@ impl Light for Grbl<'_> {
         let off = self.lamp_off();
         self.link.obey = obey;
         off
+    }
+
+    fn is_on(&mut self) -> Result<Option<bool>> {
+        self.lamp_state()
     }
 
     fn identity(&self) -> String {

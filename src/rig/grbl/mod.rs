@@ -8,6 +8,7 @@
 //!
 //! Does not: stream lines ahead, recover from a garbled reply by guessing, reconnect, or look after collisions.
 
+mod by_hand;
 mod codes;
 mod device;
 mod fault;

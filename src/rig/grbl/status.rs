@@ -19,6 +19,8 @@ pub struct Status {
     pub feed_and_speed: Option<(f64, f64)>,
     /// `Pn`: triggered pins.
     pub pins: Option<String>,
+    /// `H` of grblHAL: all axes that can be homed are.
+    pub homed: Option<bool>,
 }
 
 impl Status {
@@ -51,6 +53,13 @@ impl Status {
                         return None;
                     };
                     status.feed_and_speed = Some((feed, speed));
+                }
+                "H" => {
+                    status.homed = Some(match value.split(',').next() {
+                        Some("1") => true,
+                        Some("0") => false,
+                        _ => return None,
+                    });
                 }
                 "Pn" => status.pins = Some(value.to_owned()),
                 _ => {}
@@ -99,7 +108,9 @@ mod tests {
         assert_eq!(s.machine_position.unwrap(), [1.0, -2.5, 0.0, 4.0, 5.0]);
         assert_eq!(s.overrides, Some([130.0, 100.0, 100.0]));
         assert_eq!(s.feed_and_speed, Some((900.0, 0.0)));
-        assert_eq!(s.work_offset, None);
+        assert_eq!((s.work_offset, s.homed), (None, Some(false)));
+        let s = Status::parse("Idle|MPos:0,0,0|H:1,31").unwrap();
+        assert_eq!(s.homed, Some(true));
         let s = Status::parse("Idle|MPos:0,0,0|FS:900,1000,987").unwrap();
         assert_eq!(s.feed_and_speed, Some((900.0, 1000.0)));
     }
@@ -112,6 +123,7 @@ mod tests {
             "Idle|MPos:nan,0,0",
             "Ho1d:x|MPos:0,0,0",
             "Idle|Ov:100",
+            "Idle|H:x",
         ] {
             assert_eq!(Status::parse(text), None, "{text}");
         }

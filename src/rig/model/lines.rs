@@ -35,6 +35,7 @@ impl GrblModel {
                 self.report_due = true;
             }
             b'?' => self.status_report(),
+            0x87 if self.options.flavor == Flavor::GrblHal => self.full_status_report(),
             b'!' => self.begin_hold(Hold::Feed),
             b'~' => self.resume(),
             0x84 => {

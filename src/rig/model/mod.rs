@@ -5,7 +5,7 @@
 //! with both controllers (`tests/data/wire`).
 //!
 //! Not modeled: look-ahead between blocks (each line starts and ends at rest), arcs, probing, work offsets other than
-//! zero, check mode, sleep, start-up blocks, rapid and spindle overrides, grblHAL's 0x80-0x87 and 0x19. Homing always
+//! zero, check mode, sleep, start-up blocks, rapid and spindle overrides, grblHAL's 0x80-0x86 and 0x19. Homing always
 //! finds its switches.
 
 mod gcode;

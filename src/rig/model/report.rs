@@ -93,6 +93,15 @@ impl GrblModel {
 
     /// The answer to `?`.
     pub(super) fn status_report(&mut self) {
+        self.report(false);
+    }
+
+    /// grblHAL's answer to 0x87: every field, among them whether it is homed.
+    pub(super) fn full_status_report(&mut self) {
+        self.report(true);
+    }
+
+    fn report(&mut self, full: bool) {
         let position = self.quantized(self.position());
         let feed = self.motion.as_ref().map_or(0.0, |m| m.feed(self.now));
         let spindle = if self.spindle_on() {
@@ -112,7 +121,17 @@ impl GrblModel {
         if !self.options.pins.is_empty() {
             fields.push(format!("Pn:{}", self.options.pins));
         }
-        self.intermittent_fields(&mut fields);
+        if full {
+            fields.push(format!(
+                "WCO:{}",
+                self.coordinates(&vec![0.0; position.len()])
+            ));
+            fields.push(format!("Ov:{},100,100", self.feed_override));
+            fields.push(format!("H:{}", u8::from(self.homed)));
+            fields.push("FW:grblHAL".to_owned());
+        } else {
+            self.intermittent_fields(&mut fields);
+        }
         self.say(&format!("<{}>", fields.join("|")));
     }
 
