@@ -9,6 +9,8 @@
 mod inputs;
 mod output;
 mod ports;
+#[allow(dead_code, reason = "the capture command takes it up")]
+mod screen;
 mod terminal;
 
 mod capture;
