@@ -1,6 +1,7 @@
 //! One file per command: reads arguments, composes the rooms, prints.
 //!
-//! stdout is data; everything else goes to stderr. Exit codes: 0 done; 1 finished but not within tolerance; 2 error.
+//! stdout is data; everything else goes to stderr. Exit codes: 0 done; 1 finished but not within tolerance, or ended early
+//! and resumable; 2 error; 3 stopped by the operator; 4 halted the fastest way, position unknown.
 
 // Printing is this room's work.
 #![allow(clippy::print_stderr)]
@@ -8,15 +9,20 @@
 mod inputs;
 mod judge;
 mod output;
+mod ports;
+#[allow(dead_code, reason = "the capture command takes it up")]
+mod screen;
 mod terminal;
 
 mod capture;
 mod demo;
+mod doctor;
 mod fabric;
 mod fit;
 mod measure;
 mod render;
 mod report;
+mod rig;
 mod scatter;
 mod sim;
 mod simulate;
@@ -52,6 +58,8 @@ enum Command {
     Simulate(simulate::Arguments),
     Sim(sim::Arguments),
     Capture(capture::Arguments),
+    Rig(rig::Arguments),
+    Doctor(doctor::Arguments),
     Measure(measure::Arguments),
     Fit(fit::Arguments),
     Render(render::Arguments),
@@ -81,6 +89,8 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Simulate(a) => simulate::run(a),
         Command::Sim(a) => sim::run(a),
         Command::Capture(a) => capture::run(a),
+        Command::Rig(a) => rig::run(a),
+        Command::Doctor(a) => doctor::run(a),
         Command::Measure(a) => measure::run(a),
         Command::Fit(a) => fit::run(a),
         Command::Render(a) => render::run(a),

@@ -6,6 +6,7 @@
 mod charts;
 mod html;
 mod page;
+pub mod preview;
 mod svg;
 pub mod swatch;
 

@@ -2,7 +2,7 @@
 
 use super::description::Homing;
 use super::transport::{Clock, Transport};
-use crate::base::{Result, Watch};
+use crate::base::{Error, Result, Watch};
 use crate::session::{CameraFacts, Configuration, Exposedness, FrameKind};
 use std::sync::Arc;
 
@@ -133,6 +133,28 @@ pub trait Motion {
         Vec::new()
     }
 
+    /// True when the controller itself says that its axes were homed and have not lost their place since. Unlike
+    /// [`Motion::is_homed`] it may be the homing of an earlier connection.
+    ///
+    /// # Errors
+    /// It does not answer.
+    fn says_homed(&mut self) -> Result<bool> {
+        Ok(self.is_homed())
+    }
+
+    /// Moves one axis by so many units at this speed (units per second) although the position is not known, to free an
+    /// axis that stands on a switch. Returns by how much the controller says it moved; the position stays unknown.
+    ///
+    /// # Errors
+    /// The controller cannot, refuses, or does not come to rest; call [`Motion::make_safe`].
+    fn nudge(&mut self, letter: char, _units: f64, _speed: f64) -> Result<f64> {
+        Err(Error::new(format!(
+            "board '{}' cannot move axis {letter} before it is homed",
+            self.name()
+        ))
+        .with_hint("home it, or move the axis by hand with the motors' power off"))
+    }
+
     /// The board's lamp output, if it has one.
     fn lamp(&mut self) -> Option<&mut dyn Light>;
 }
@@ -156,6 +178,14 @@ pub trait Light {
     /// # Errors
     /// As [`Light::switch_on`].
     fn switch_off(&mut self) -> Result<()>;
+
+    /// Whether it is on, by the device's own word; none when it does not tell.
+    ///
+    /// # Errors
+    /// It does not answer.
+    fn is_on(&mut self) -> Result<Option<bool>> {
+        Ok(None)
+    }
 
     /// Who it is, in its own words, for the session's record.
     fn identity(&self) -> String;

@@ -1,5 +1,7 @@
 //! The connected rig: all boards and the lamp together, in angles.
 
+mod by_hand;
+
 use super::board_check::check_settings;
 use super::description::{Axis, AxisName, Homing, Port, RigDescription};
 use super::devices::{AxisLimits, Light, Motion, Target, Wiring};
@@ -159,7 +161,7 @@ impl<'a> Rig<'a> {
                     board: board.name().to_owned(),
                     firmware: board.firmware(),
                     state,
-                    homed: board.is_homed(),
+                    homed: board.is_homed() || board.says_homed()?,
                     axes_deg: motors
                         .iter()
                         .zip(&units)
@@ -528,7 +530,7 @@ pub struct BoardState {
     pub firmware: String,
     /// State in its own words.
     pub state: String,
-    /// Its position is known.
+    /// Its position is known: to this program, or by the board's own word.
     pub homed: bool,
     /// Positions of its axes, degrees.
     pub axes_deg: Vec<(AxisName, f64)>,

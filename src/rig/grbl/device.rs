@@ -8,7 +8,7 @@ use crate::rig::description::Homing;
 use crate::rig::devices::{AxisLimits, Light, Motion, Target, Travel};
 
 impl Grbl<'_> {
-    fn axis_number(&self, letter: char) -> Result<usize> {
+    pub(super) fn axis_number(&self, letter: char) -> Result<usize> {
         LETTERS
             .iter()
             .position(|l| *l == letter)
@@ -176,6 +176,14 @@ impl Motion for Grbl<'_> {
 
     fn make_safe(&mut self, at_once: bool) -> Result<String> {
         self.stop(at_once)
+    }
+
+    fn says_homed(&mut self) -> Result<bool> {
+        self.reported_homed()
+    }
+
+    fn nudge(&mut self, letter: char, units: f64, speed: f64) -> Result<f64> {
+        self.jog_unhomed(letter, units, speed)
     }
 
     fn lamp(&mut self) -> Option<&mut dyn Light> {

@@ -81,6 +81,10 @@ impl Light for Grbl<'_> {
         self.lamp_off_regardless()
     }
 
+    fn is_on(&mut self) -> Result<Option<bool>> {
+        self.lamp_state()
+    }
+
     fn identity(&self) -> String {
         format!("spindle output of board '{}'", self.name)
     }

@@ -11,6 +11,7 @@
 //!
 //! [`Motion::make_safe`]: super::devices::Motion::make_safe
 
+mod by_hand;
 mod codes;
 mod device;
 mod exchange;

@@ -108,6 +108,8 @@ mod tests {
         assert_eq!(s.overrides, Some([130.0, 100.0, 100.0]));
         assert_eq!(s.feed_and_speed, Some((900.0, 0.0)));
         assert_eq!((s.work_offset, s.homed), (None, Some(false)));
+        let s = Status::parse("Idle|MPos:0,0,0|H:1,31").unwrap();
+        assert_eq!(s.homed, Some(true));
         let s = Status::parse("Idle|MPos:0,0,0|FS:900,1000,987").unwrap();
         assert_eq!(s.feed_and_speed, Some((900.0, 1000.0)));
     }
@@ -121,6 +123,7 @@ mod tests {
             "Ho1d:x|MPos:0,0,0",
             "Idle|Ov:100",
             "Idle|H:",
+            "Idle|H:x",
         ] {
             assert_eq!(Status::parse(text), None, "{text}");
         }
