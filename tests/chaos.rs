@@ -231,6 +231,7 @@ impl Transport for BadCable {
 
     fn read(&mut self, buffer: &mut [u8], timeout: f64) -> io::Result<usize> {
         let deadline = self.clock.now() + timeout;
+        let mut tried = false;
         loop {
             self.guard.look();
             if self.guard.reads.fetch_add(1, Ordering::Relaxed) > MOST_READS {
@@ -252,9 +253,10 @@ impl Transport for BadCable {
                 }
                 return Ok(n);
             }
-            if now > deadline {
+            if tried && now >= deadline {
                 return Err(io::ErrorKind::TimedOut.into());
             }
+            tried = true;
             let slice = (deadline - now).min(LOOK);
             let mut raw = [0; 256];
             match self.inner.read(&mut raw, slice) {
@@ -273,11 +275,7 @@ impl Transport for BadCable {
                     let t = (now + wait).max(last);
                     self.late.extend(bytes.into_iter().map(|b| (t, b)));
                 }
-                Err(e) if e.kind() == io::ErrorKind::TimedOut => {
-                    if timeout == 0.0 {
-                        return Err(e);
-                    }
-                }
+                Err(e) if e.kind() == io::ErrorKind::TimedOut => {}
                 Err(e) => return Err(e),
             }
         }
