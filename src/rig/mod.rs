@@ -54,7 +54,7 @@ pub use replay::{Replay, ReplayTransport};
 pub use replay_camera::ReplayCamera;
 pub use serial::SerialTransport;
 pub use simulator::{ModelTransport, PtySimulator, SharedModel};
-pub use tour::Tour;
+pub use tour::{EXACT_UP_TO, Tour, tour};
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
 pub use travel::ControllerLimits;
 #[cfg(feature = "uvc")]
