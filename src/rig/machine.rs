@@ -319,17 +319,13 @@ impl<'a> Rig<'a> {
             None => self.angles()?,
         };
         let legs = self.description.path(&from, angles)?;
-        let mut moved = [false; 5];
         let mut last = from;
         for leg in &legs {
             self.obey()?;
             self.go(&last, &leg.to)?;
-            for name in AxisName::ALL {
-                moved[name as usize] |= (last.get(name) - leg.to.get(name)).abs() > 1e-9;
-            }
             last = leg.to;
         }
-        self.wait(self.settle_ms(&moved) / 1000.0)?;
+        self.wait(self.description.settle_ms_after(&from, &legs) / 1000.0)?;
         Ok(self.verify()?)
     }
 
@@ -353,19 +349,6 @@ impl<'a> Rig<'a> {
         }
         self.at = Some(*to);
         Ok(())
-    }
-
-    /// The longest settle time of the axes that moved.
-    fn settle_ms(&self, moved: &[bool; 5]) -> f64 {
-        let mut longest = 0.0_f64;
-        for name in AxisName::ALL {
-            if let Axis::Motor(motor) = self.description.axis(name)
-                && moved[name as usize]
-            {
-                longest = longest.max(motor.settle_ms);
-            }
-        }
-        longest
     }
 
     /// An upper bound of a leg's time in seconds, by the boards' own speeds and accelerations.

@@ -68,7 +68,7 @@ pub use serial::SerialTransport;
 pub use shots::{History, PlannedShot};
 pub use simulator::{ByteModel, ModelTransport, PtySimulator, SharedDevice, SharedModel};
 pub use stop::{Stopped, stop_all};
-pub use tour::Tour;
+pub use tour::{EXACT_UP_TO, Tour, tour};
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
 pub use travel::ControllerLimits;
 #[cfg(feature = "uvc")]

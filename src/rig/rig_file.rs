@@ -67,7 +67,8 @@ impl RigDescription {
     ///
     /// # Errors
     /// It is not of the form, an axis is missing, a name is unknown or used twice, a number is out of range (limits in
-    /// the wrong order and NaN included), or the white geometry or the parking place is out of reach.
+    /// the wrong order and NaN included), the white geometry or the parking place is out of reach, or
+    /// bodies are too near each other at the white geometry.
     pub fn from_toml(text: &str) -> Result<Self> {
         let file: RigFile = toml::from_str(text).context(|| "not a rig file")?;
         in_range("feed_deg_per_min", file.feed_deg_per_min, 1.0, 1e5)?;
@@ -165,8 +166,8 @@ impl RigDescription {
         self.check_numbers()?;
         self.check_park()?;
         self.angles(&self.white.configuration(0))
-            .context(|| "white reference geometry")?;
-        Ok(())
+            .and_then(|angles| self.check_pose_clearance(&angles))
+            .context(|| "white reference geometry")
     }
 
     /// Axis letters are X Y Z A B C on a GRBL board and numbers on a Zaber controller, which has no lamp output.

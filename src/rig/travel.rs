@@ -4,7 +4,7 @@
 //! axes of other boards go on their own, and the last to arrive counts. Leaves out what a controller adds: acknowledging,
 //! polling, jerk limits.
 
-use super::description::{Axis, AxisName, MotorAxis, Protocol, RigDescription};
+use super::description::{Axis, AxisName, Protocol, RigDescription};
 use super::devices::AxisLimits;
 use super::kinematics::AxisAngles;
 use super::path::Leg;
@@ -24,47 +24,98 @@ impl Protocol {
     }
 }
 
-impl RigDescription {
-    /// Sets of axes that progress together in a leg, each set at its own pace: the driven axes of a coordinated board, or
-    /// a single axis.
-    pub fn groups(&self) -> Vec<Vec<AxisName>> {
-        let mut groups = Vec::new();
-        for board in &self.boards {
-            let axes: Vec<AxisName> = self.motors_of(&board.name).map(|(name, _)| name).collect();
-            if board.protocol.moves_in_line() {
-                groups.push(axes);
-            } else {
-                groups.extend(axes.into_iter().map(|name| vec![name]));
-            }
+/// Sets of axes that progress together in a leg, each set at its own pace: the driven axes of a coordinated board, or a
+/// single axis.
+pub(super) fn axis_groups(rig: &RigDescription) -> Vec<Vec<AxisName>> {
+    let mut groups = Vec::new();
+    for board in &rig.boards {
+        let axes: Vec<AxisName> = rig.motors_of(&board.name).map(|(name, _)| name).collect();
+        if board.protocol.moves_in_line() {
+            groups.push(axes);
+        } else {
+            groups.extend(axes.into_iter().map(|name| vec![name]));
         }
-        groups.retain(|g| !g.is_empty());
-        groups
+    }
+    groups.retain(|g| !g.is_empty());
+    groups
+}
+
+/// How fast each axis goes, by group.
+pub(super) struct Pace(Vec<Vec<AxisPace>>);
+
+struct AxisPace {
+    name: AxisName,
+    /// Degrees per second.
+    speed: f64,
+    /// Degrees per second squared.
+    acceleration: f64,
+}
+
+impl Pace {
+    /// The rig file's speeds and accelerations, or the controllers' where those are less.
+    pub(super) fn new(rig: &RigDescription, limits: Option<&ControllerLimits>) -> Self {
+        let of = |name: AxisName| match rig.axis(name) {
+            Axis::Motor(motor) => {
+                let own = limits.and_then(|l| l.get(&name));
+                let scale = motor.degrees_per_unit;
+                let (speed, acceleration) = own.map_or((f64::INFINITY, f64::INFINITY), |l| {
+                    (l.max_speed * scale, l.acceleration * scale)
+                });
+                Some(AxisPace {
+                    name,
+                    speed: motor.speed_deg_per_s.min(speed),
+                    acceleration: motor.acceleration_deg_per_s2.min(acceleration),
+                })
+            }
+            Axis::Fixed { .. } => None,
+        };
+        let groups = axis_groups(rig);
+        Self(
+            groups
+                .into_iter()
+                .map(|g| g.into_iter().filter_map(of).collect())
+                .collect(),
+        )
     }
 
-    /// Seconds of one leg. `limits` are the controllers' own, when known: the slower of both counts.
-    pub fn leg_seconds(
-        &self,
-        from: &AxisAngles,
-        to: &AxisAngles,
-        limits: Option<&ControllerLimits>,
-    ) -> f64 {
-        self.groups()
-            .iter()
-            .map(|group| self.line_seconds(group, from, to, limits))
-            .fold(0.0, f64::max)
+    /// Seconds of one leg: the group that arrives last.
+    pub(super) fn seconds(&self, from: &AxisAngles, to: &AxisAngles) -> f64 {
+        let times = self.0.iter().map(|group| line_seconds(group, from, to));
+        times.fold(0.0, f64::max)
     }
+}
 
-    /// Seconds of these legs, one after the other.
+/// Seconds of one straight line of a group, from rest to rest.
+fn line_seconds(group: &[AxisPace], from: &AxisAngles, to: &AxisAngles) -> f64 {
+    // Progress runs from 0 to 1; these are its highest speed and acceleration.
+    let (mut speed, mut acceleration) = (f64::INFINITY, f64::INFINITY);
+    for axis in group {
+        let way = (to.get(axis.name) - from.get(axis.name)).abs();
+        if way > 0.0 {
+            speed = speed.min(axis.speed / way);
+            acceleration = acceleration.min(axis.acceleration / way);
+        }
+    }
+    if speed.is_infinite() {
+        return 0.0;
+    }
+    let top = speed.min(acceleration.sqrt());
+    1.0 / top + top / acceleration
+}
+
+impl RigDescription {
+    /// Seconds of these legs, one after the other. `limits` are the controllers' own, when known: the slower of both counts.
     pub fn legs_seconds(
         &self,
         from: &AxisAngles,
         legs: &[Leg],
         limits: Option<&ControllerLimits>,
     ) -> f64 {
+        let pace = Pace::new(self, limits);
         let mut last = *from;
         let mut seconds = 0.0;
         for leg in legs {
-            seconds += self.leg_seconds(&last, &leg.to, limits);
+            seconds += pace.seconds(&last, &leg.to);
             last = leg.to;
         }
         seconds
@@ -102,45 +153,4 @@ impl RigDescription {
         }
         longest
     }
-
-    /// Seconds of one straight line of a set of axes, from rest to rest.
-    fn line_seconds(
-        &self,
-        group: &[AxisName],
-        from: &AxisAngles,
-        to: &AxisAngles,
-        limits: Option<&ControllerLimits>,
-    ) -> f64 {
-        // Progress runs from 0 to 1; these are its highest speed and acceleration.
-        let (mut speed, mut acceleration) = (f64::INFINITY, f64::INFINITY);
-        for &name in group {
-            let Axis::Motor(motor) = self.axis(name) else {
-                continue;
-            };
-            let way = (to.get(name) - from.get(name)).abs();
-            if way > 0.0 {
-                let own = limits.and_then(|l| l.get(&name));
-                let (v, a) = slower(motor, own);
-                speed = speed.min(v / way);
-                acceleration = acceleration.min(a / way);
-            }
-        }
-        if speed.is_infinite() {
-            return 0.0;
-        }
-        let top = speed.min(acceleration.sqrt());
-        1.0 / top + top / acceleration
-    }
-}
-
-/// Degrees per second and per second squared: the rig file's, or the controller's where that is less.
-fn slower(motor: &MotorAxis, own: Option<&AxisLimits>) -> (f64, f64) {
-    let scale = motor.degrees_per_unit;
-    let (speed, acceleration) = own.map_or((f64::INFINITY, f64::INFINITY), |l| {
-        (l.max_speed * scale, l.acceleration * scale)
-    });
-    (
-        motor.speed_deg_per_s.min(speed),
-        motor.acceleration_deg_per_s2.min(acceleration),
-    )
 }
