@@ -258,6 +258,26 @@ fn it_works_over_a_real_port() {
     assert!(!simulator.model().lock().unwrap().is_on());
 }
 
+#[test]
+fn another_channel_is_addressed_by_its_number() {
+    let model = ScpiModel::new(1.0, vec![]).on_channel(2);
+    let bench = Bench {
+        clock: Arc::new(VirtualClock::new()),
+        model: Arc::new(Mutex::new(model)),
+    };
+    assert!(bench.connect().is_err(), "channel 1 is not there");
+    let cable = ModelTransport::new(bench.model.clone(), bench.clock.clone());
+    let wiring = Wiring {
+        name: "lamp".into(),
+        transport: Box::new(cable),
+        clock: bench.clock.clone(),
+        watch: &Unwatched,
+    };
+    let mut led = ScpiLed::connect(2, wiring).unwrap();
+    led.switch_on(0.4).unwrap();
+    assert!(bench.is_on());
+}
+
 // -- noise --------------------------------------------------------------------------------------------------------------
 
 /// xorshift64*.

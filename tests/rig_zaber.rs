@@ -101,8 +101,9 @@ impl Bench {
 
     /// Where the axes are and whether one moves, a second on.
     fn later(&self) -> (Vec<f64>, bool) {
+        self.clock.sleep(1.0);
         let mut model = self.model.lock().unwrap();
-        model.take_output(self.clock.now() + 1.0);
+        model.take_output(self.clock.now());
         (model.truth(), model.is_moving())
     }
 }
@@ -136,10 +137,10 @@ fn it_connects_homes_moves_and_reads_back() {
     let targets = [target('1', 200_000.4), target('2', 100_000.0)];
     let found = go(&mut zaber, &targets).unwrap();
     assert_eq!(found, [200_000.0, 100_000.0]);
-    assert_eq!(bench.later(), (vec![200_000.0, 100_000.0], false));
     // 200 000 microsteps at 40 000/s: it really waited.
     let took = bench.clock.now() - start;
     assert!((5.0..6.0).contains(&took), "{took}");
+    assert_eq!(bench.later(), (vec![200_000.0, 100_000.0], false));
     assert!(bench.sent().contains("move abs 200000 65536:"));
     assert_eq!(
         zaber.positions(&['2', '1']).unwrap(),
@@ -951,4 +952,74 @@ fn sixteen_poses_over_three_real_ports_are_captured() {
     )
     .unwrap();
     assert!(summary.finished && summary.frames == 36);
+}
+
+#[test]
+fn the_program_drives_the_simulated_devices_of_the_rig_file() {
+    use std::io::BufRead;
+    use std::process::{Command, Stdio};
+    struct Simulator(std::process::Child);
+    impl Drop for Simulator {
+        fn drop(&mut self) {
+            let _ = self.0.kill();
+            let _ = self.0.wait();
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(file("rig_configs/zaber_rotary.toml")).unwrap();
+    let quick = text
+        .replace("warm_up_s = 60.0", "warm_up_s = 0.1")
+        .replace("settle_ms = 300", "settle_ms = 1")
+        .replace("settle_ms = 200", "settle_ms = 1");
+    let rig_file = folder.path().join("rig.toml");
+    std::fs::write(&rig_file, &quick).unwrap();
+    let rig = RigDescription::from_toml(&quick).unwrap();
+    let old = folder.path().join("old");
+    let mut camera = TextCamera::default();
+    let options = CaptureOptions::of(&rig);
+    capture_in_process(&rig, &plan16(), &mut camera, &old, &options, &Unwatched).unwrap();
+
+    let program = env!("CARGO_BIN_EXE_goniofit");
+    let child = Command::new(program)
+        .args(["sim", "--json", "--speed", "100", "--rig"])
+        .arg(&rig_file)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut simulator = Simulator(child);
+    let mut line = String::new();
+    let stdout = simulator.0.stdout.take().unwrap();
+    io::BufReader::new(stdout).read_line(&mut line).unwrap();
+    let printed: serde_json::Value = serde_json::from_str(&line).unwrap();
+    let devices = printed["boards"].as_array().unwrap();
+    let kinds: Vec<_> = devices
+        .iter()
+        .map(|d| d["flavor"].as_str().unwrap())
+        .collect();
+    assert_eq!(kinds, ["zaber", "zaber", "scpi"]);
+
+    let mut capture = Command::new(program);
+    capture
+        .arg("capture")
+        .arg("--rig")
+        .arg(&rig_file)
+        .arg("--yes");
+    capture
+        .arg("--plan")
+        .arg(file("rig_configs/plans/khungurn16.toml"));
+    capture
+        .arg("--camera")
+        .arg(format!("replay:{}", old.display()));
+    capture.arg("--out").arg(folder.path().join("new"));
+    for device in devices {
+        let (name, path) = (device["board"].as_str(), device["path"].as_str());
+        capture
+            .arg("--port")
+            .arg(format!("{}={}", name.unwrap(), path.unwrap()));
+    }
+    let output = capture.output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{told}");
+    assert!(told.contains("finished: 36 of 36 frames"), "{told}");
 }

@@ -7,8 +7,8 @@ use crate::base::{Error, Result, Watch};
 use crate::rig::capture::{self, CaptureOptions, PlannedShot, Summary};
 use crate::rig::simulated::capture_from_replay;
 use crate::rig::{
-    AxisName, Camera, Connection, ReplayCamera, RigDescription, SerialTransport, SystemClock,
-    Transport, read_wire_log,
+    AxisName, Camera, Connection, LampOutput, ReplayCamera, RigDescription, SerialTransport,
+    SystemClock, Transport, read_wire_log,
 };
 use crate::session::{FrameKind, Plan, SessionFolder};
 use std::io::{BufRead, IsTerminal};
@@ -44,7 +44,7 @@ pub(crate) struct Arguments {
     /// New session folder
     #[arg(long, value_name = "DIR", required_unless_present = "dry_run")]
     out: Option<PathBuf>,
-    /// Port of a board instead of the rig file's: PATH, or BOARD=PATH for each board
+    /// Port of a board instead of the rig file's: PATH, or BOARD=PATH for each board, lamp=PATH for a current source
     #[arg(long, value_name = "[BOARD=]PATH")]
     port: Vec<String>,
     /// replay:SESSION or uvc
@@ -149,6 +149,12 @@ fn override_ports(rig: &mut RigDescription, ports: &[String]) -> Result<()> {
                 );
             }
         };
+        if let LampOutput::Scpi { port, .. } = &mut rig.lamp.output
+            && port.name == name
+        {
+            path.clone_into(&mut port.path);
+            continue;
+        }
         let board = rig.boards.iter_mut().find(|b| b.name == name);
         let board = board.ok_or_else(|| {
             Error::new(format!("--port {given}: unknown board '{name}'"))
