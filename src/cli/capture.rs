@@ -10,7 +10,7 @@ use crate::rig::capture::{Capture, CaptureOptions, End, Order, Summary, plan_cap
 use crate::rig::exposures::Verdict;
 use crate::rig::simulated::capture_from_replay;
 use crate::rig::{
-    AxisName, Camera, Connection, Judge, Operator, Outlook, PlannedShot, ReplayCamera, Request,
+    AxisName, Camera, Connection, Judge, LampOutput, Operator, Outlook, PlannedShot, ReplayCamera, Request,
     RigDescription, Seen, SerialTransport, SystemClock, Transport, read_wire_log,
 };
 use crate::session::{Plan, SessionFolder, sha256};
@@ -248,6 +248,12 @@ fn override_ports(rig: &mut RigDescription, ports: &[String]) -> Result<()> {
                 );
             }
         };
+        if let LampOutput::Scpi { port, .. } = &mut rig.lamp.output
+            && port.name == name
+        {
+            path.clone_into(&mut port.path);
+            continue;
+        }
         let board = rig.boards.iter_mut().find(|b| b.name == name);
         let board = board.ok_or_else(|| {
             Error::new(format!("--port {given}: unknown board '{name}'"))

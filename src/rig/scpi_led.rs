@@ -159,10 +159,10 @@ impl<'a> ScpiLed<'a> {
         ))
     }
 
-    /// After a missing reply: drops what comes until the device has said its name.
-    fn resync(&mut self) -> Result<()> {
+    /// After a missing reply: drops what comes until the device has said its name; false when it does not.
+    fn resync(&mut self) -> Result<bool> {
         if !self.stale {
-            return Ok(());
+            return Ok(true);
         }
         self.read_until_quiet()?;
         if !self.identity.is_empty() {
@@ -172,12 +172,12 @@ impl<'a> ScpiLed<'a> {
                 match self.read(REPLY_TIMEOUT)? {
                     Some(line) if line == self.identity => break,
                     Some(_) if dropped < STALE_LINES => dropped += 1,
-                    _ => return Err(self.silent("*IDN?")),
+                    _ => return Ok(false),
                 }
             }
         }
         self.stale = false;
-        Ok(())
+        Ok(true)
     }
 
     fn silent(&self, question: &str) -> Error {
@@ -189,7 +189,9 @@ impl<'a> ScpiLed<'a> {
 
     fn query(&mut self, question: &str) -> Result<String> {
         for _ in 0..ASKED {
-            self.resync()?;
+            if !self.resync()? {
+                break;
+            }
             self.write(question)?;
             if let Some(line) = self.read(REPLY_TIMEOUT)? {
                 return Ok(line);
@@ -217,7 +219,9 @@ impl<'a> ScpiLed<'a> {
 
     /// Sends a command that sets something, and asks whether it went wrong.
     fn set(&mut self, command: &str) -> Result<()> {
-        self.resync()?;
+        if !self.resync()? {
+            return Err(self.silent(command));
+        }
         self.write(command)?;
         let mut first: Option<String> = None;
         for _ in 0..LONGEST_QUEUE {
@@ -266,7 +270,6 @@ impl<'a> ScpiLed<'a> {
     fn try_off(&mut self) -> Result<()> {
         // The command goes out even when the device still owes an answer.
         self.write(&self.off_command())?;
-        self.resync()?;
         if self.is_on()? {
             return Err(self.error(
                 "the output is still on after it was switched off",

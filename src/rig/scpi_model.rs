@@ -1,6 +1,6 @@
 //! A byte-level model of a current source for LEDs that speaks SCPI.
 //!
-//! A pure state machine: bytes and the time go in, bytes come out. Short headers only, one channel; unknown headers and
+//! A pure state machine: bytes and the time go in, bytes come out. Short headers only, one output; unknown headers and
 //! values out of range go to the error queue, as the standard says.
 
 use super::simulator::ByteModel;
@@ -33,6 +33,7 @@ pub enum ScpiFault {
 #[derive(Debug)]
 pub struct ScpiModel {
     limit_a: f64,
+    channel: u8,
     faults: Vec<ScpiFault>,
     now: f64,
     gone: bool,
@@ -57,6 +58,7 @@ impl ScpiModel {
     pub fn new(limit_a: f64, faults: Vec<ScpiFault>) -> Self {
         Self {
             limit_a,
+            channel: 1,
             faults,
             now: 0.0,
             gone: false,
@@ -70,6 +72,12 @@ impl ScpiModel {
             replies: 0,
             ignored_offs: 0,
         }
+    }
+
+    /// The same with this number on its output.
+    pub fn on_channel(mut self, channel: u8) -> Self {
+        self.channel = channel;
+        self
     }
 
     /// True while current flows.
@@ -113,7 +121,8 @@ impl ScpiModel {
 
     fn hear(&mut self, line: &str) {
         let (header, value) = line.split_once(' ').unwrap_or((line, ""));
-        match (header, value) {
+        let header = self.numbered(header);
+        match (header.as_str(), value) {
             ("", "") => {}
             ("*IDN?", "") => self.say("Thorlabs,DC2200,M00000001,1.3.0"),
             ("*CLS", "") => self.errors.clear(),
@@ -121,16 +130,27 @@ impl ScpiModel {
                 let entry = self.errors.pop_front().unwrap_or("+0,\"No error\"");
                 self.say(entry);
             }
-            ("SOUR1:MODE", "CC" | "CB") => value.clone_into(&mut self.mode),
-            ("SOUR1:MODE?", "") => self.say(&self.mode.clone()),
-            ("SOUR1:CCUR:CURR", value) => self.set_current(value),
-            ("SOUR1:CCUR:CURR?", "") => self.say(&format!("{:.4E}", self.current_a)),
-            ("SOUR1:CURR:LIM?", "") => self.say(&format!("{:.4E}", self.limit_a)),
-            ("OUTP1:STAT", "ON") => self.switch_on(),
-            ("OUTP1:STAT", "OFF") => self.switch_off(),
-            ("OUTP1:STAT?", "") => self.say(if self.on { "1" } else { "0" }),
+            ("SOUR:MODE", "CC" | "CB") => value.clone_into(&mut self.mode),
+            ("SOUR:MODE?", "") => self.say(&self.mode.clone()),
+            ("SOUR:CCUR:CURR", value) => self.set_current(value),
+            ("SOUR:CCUR:CURR?", "") => self.say(&format!("{:.4E}", self.current_a)),
+            ("SOUR:CURR:LIM?", "") => self.say(&format!("{:.4E}", self.limit_a)),
+            ("OUTP:STAT", "ON") => self.switch_on(),
+            ("OUTP:STAT", "OFF") => self.switch_off(),
+            ("OUTP:STAT?", "") => self.say(if self.on { "1" } else { "0" }),
             _ => self.errors.push_back(UNDEFINED),
         }
+    }
+
+    /// A header with the output's own number left out; of another output, one that is not known.
+    fn numbered(&self, header: &str) -> String {
+        for tree in ["SOUR", "OUTP"] {
+            if let Some(rest) = header.strip_prefix(tree) {
+                let own = rest.strip_prefix(&self.channel.to_string());
+                return own.map_or_else(|| "?".to_owned(), |rest| format!("{tree}{rest}"));
+            }
+        }
+        header.to_owned()
     }
 
     fn set_current(&mut self, value: &str) {

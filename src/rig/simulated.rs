@@ -95,13 +95,16 @@ pub fn device_models(description: &RigDescription) -> Vec<SimulatedDevice> {
         .map(|board| board_model(description, board))
         .collect();
     if let LampOutput::Scpi {
-        port, current_a, ..
+        port,
+        channel,
+        current_a,
     } = &description.lamp.output
     {
+        let model = ScpiModel::new(1.5 * current_a, Vec::new());
         devices.push(SimulatedDevice {
             name: port.name.clone(),
             kind: "scpi",
-            model: Box::new(ScpiModel::new(1.5 * current_a, Vec::new())),
+            model: Box::new(model.on_channel(*channel)),
         });
     }
     devices
