@@ -12,12 +12,14 @@ pub mod capture;
 mod description;
 mod devices;
 mod drivers;
+mod emergency;
 mod grbl;
 mod kinematics;
 mod machine;
 mod model;
 mod operator;
 mod path;
+mod port_owner;
 mod replay;
 mod replay_camera;
 mod rig_file;
@@ -38,6 +40,7 @@ pub use description::{
 pub use devices::{
     AxisLimits, Camera, CapturedFrame, Judge, Light, Motion, Shot, Target, Travel, Wiring,
 };
+pub use emergency::{EmergencyLine, StopHandle};
 pub use grbl::{Grbl, Status, StopReport};
 pub use kinematics::AxisAngles;
 pub use machine::{BoardState, Connection, Halt, Opener, Prompt, Rig, Step};
