@@ -143,9 +143,8 @@ fn the_answers_to_the_lamp_are_asked_for_again() {
         // The listing comes damaged, then not at all, then whole.
         ">$G\n",
         "<[GC:G0 G5\u{fe}\r\n",
-        "<ok\r\n",
         ">\n",
-        "<ok\r\n",
+        "<ok\r\nok\r\n",
         ">?",
         IDLE,
         ">$G\n",
@@ -271,6 +270,43 @@ fn a_damaged_banner_or_alarm_is_never_taken_for_noise() {
         assert!(grbl.take_notes().is_empty());
         replay.finish().unwrap();
     }
+}
+
+#[test]
+fn a_grblhal_that_says_it_is_not_homed_any_more_is_believed() {
+    let lost = "<<Idle|MPos:0.000,0.000,0.000|FS:0,0|H:0>\r\n";
+    let home = [">$H\n", "<ok\r\n", ">?", IDLE, ">M5\n", "<ok\r\n"];
+    let (replay, mut grbl) = trusted(&[&home[..], &[">?", lost]].concat());
+    grbl.home().unwrap();
+    let error = grbl.verify_at(&x(0.0)).unwrap_err().report();
+    assert!(error.contains("not homed any more (H:0)"), "{error}");
+    replay.finish().unwrap();
+    // Homed by the operator's word it never was by its own.
+    let (_replay, mut grbl) = trusted(&[">?", lost]);
+    grbl.verify_at(&x(0.0)).unwrap();
+}
+
+#[test]
+fn a_move_that_stops_on_its_way_with_the_state_idle_is_a_fault() {
+    let replay = Replay::new(recorded("grbl_starved"));
+    let wire = Box::new(replay.transport("main"));
+    let mut grbl = Grbl::connect("main", wire, replay.clock(), &Unwatched).unwrap();
+    grbl.trust_position().unwrap();
+    grbl.positions(&['X', 'Y']).unwrap();
+    let targets = [('X', 10.0), ('Y', 0.0)].map(|(letter, units)| Target {
+        letter,
+        units,
+        tolerance: 0.02,
+        speed: 8.0,
+    });
+    grbl.start_move(&targets).unwrap();
+    let error = grbl.finish_move(&targets, 60.0).unwrap_err().report();
+    assert!(
+        error.contains("stands still on its way at [9.276, 0.0, 0.0]"),
+        "{error}"
+    );
+    replay.finish().unwrap();
+    assert!(grbl.may_be_moving(), "it is to be made safe");
 }
 
 // -- the model's faults, by name ----------------------------------------------------------------------------------------
