@@ -252,7 +252,7 @@ fn every_fault_ends_dark_and_still_with_the_frames_kept_and_the_reason_journaled
     for (kind, reason) in [
         (FaultKind::Reset, "restarted by itself"),
         (FaultKind::Alarm(1), "limit switch was hit"),
-        (FaultKind::Garble, "garbled reply"),
+        (FaultKind::CorruptDigit('9'), "off its way"),
         (FaultKind::NeverOk, "no answer within"),
         (FaultKind::FallShort(1.0), "stands at"),
         (FaultKind::Hold, "state Hold"),

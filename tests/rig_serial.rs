@@ -10,7 +10,9 @@ use goniofit::rig::{
     Unattended, read_wire_log,
 };
 use goniofit::session::{CameraFacts, Plan, SessionFolder};
+use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 const SPEED: f64 = 50.0;
@@ -118,6 +120,45 @@ fn a_port_that_cannot_be_opened_says_why_and_what_to_do() {
     std::fs::write(&path, "").unwrap();
     let error = told(path.to_str().unwrap());
     assert!(error.contains("the system refused"), "{error}");
+}
+
+/// The other process of the test below; does nothing when run by hand.
+#[test]
+#[ignore = "run by another test in a process of its own"]
+fn a_holder_of_a_port() {
+    let Ok(path) = std::env::var("PORT_TO_HOLD") else {
+        return;
+    };
+    let _held = SerialTransport::open(&path, 115_200, None).unwrap();
+    eprintln!("held");
+    // Until the other side of the pipe is closed.
+    let _ = std::io::stdin().read_to_end(&mut Vec::new());
+}
+
+#[test]
+fn the_second_owner_of_a_port_is_told_who_the_first_is() {
+    let simulator = simulator(vec![]);
+    let mut holder = Command::new(std::env::current_exe().unwrap())
+        .args(["--ignored", "--exact", "a_holder_of_a_port", "--nocapture"])
+        .env("PORT_TO_HOLD", simulator.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(holder.stderr.take().unwrap()).lines();
+    assert!(lines.any(|l| l.unwrap() == "held"));
+    let open = || SerialTransport::open(simulator.path(), 115_200, None);
+    let error = open().unwrap_err().report();
+    let pid = format!("held by pid {} (", holder.id());
+    assert!(
+        error.contains(&pid) && error.contains("--exact a_holder_of_a_port"),
+        "{error}"
+    );
+    assert!(error.contains("hint: close that program"), "{error}");
+    drop(holder.stdin.take());
+    holder.wait().unwrap();
+    open().unwrap();
 }
 
 struct NumberCamera(u32);

@@ -15,6 +15,7 @@ mod description;
 mod devices;
 mod drivers;
 pub mod exposures;
+mod emergency;
 mod grbl;
 mod kinematics;
 mod machine;
@@ -23,6 +24,7 @@ mod operator;
 mod outlook;
 mod path;
 mod ports;
+mod port_owner;
 mod replay;
 mod replay_camera;
 mod rig_file;
@@ -52,6 +54,7 @@ pub use description::{
 pub use devices::{
     AxisLimits, Camera, CapturedFrame, Judge, Light, Motion, Shot, Target, Travel, Wiring,
 };
+pub use emergency::{EmergencyLine, StopHandle};
 pub use grbl::{Grbl, Status, StopReport};
 pub use kinematics::AxisAngles;
 pub use machine::{BoardState, Connection, Halt, Opener, Prompt, Rig, Step};

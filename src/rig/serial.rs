@@ -3,17 +3,23 @@
 //! Never touches DTR or RTS after the port is open (a pseudo-terminal has none), and never flushes what the device has
 //! already said. On Linux the system itself raises DTR on open, which resets Arduino-class boards.
 
+use super::emergency::StopHandle;
+use super::port_owner::owners;
 use super::transport::{Transport, duration};
-use crate::base::{Error, Result};
+use crate::base::{Context, Error, Result};
 use serialport::{ErrorKind, SerialPort, TTYPort};
 use std::io::{self, Read, Write};
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// An open serial port, held exclusively.
 #[derive(Debug)]
 pub struct SerialTransport {
     port: TTYPort,
+    /// A handle of its own for [`StopHandle`]s, closed with this transport.
+    second: Arc<Mutex<TTYPort>>,
+    path: String,
 }
 
 impl SerialTransport {
@@ -26,9 +32,21 @@ impl SerialTransport {
         if let Some(dtr) = dtr {
             builder = builder.dtr_on_open(dtr);
         }
-        TTYPort::open(&builder)
-            .map(|port| Self { port })
-            .map_err(|e| explain(path, baud, e))
+        let port = TTYPort::open(&builder).map_err(|e| explain(path, baud, e))?;
+        let second = port
+            .try_clone_native()
+            .context(|| format!("port {path} gives no second handle"))?;
+        Ok(Self {
+            port,
+            second: Arc::new(Mutex::new(second)),
+            path: path.to_owned(),
+        })
+    }
+
+    /// A handle that writes `bytes` (a feed hold, say) from another thread, whatever this one waits for. It does not keep
+    /// the port open.
+    pub fn stop_handle(&self, bytes: &[u8]) -> StopHandle {
+        StopHandle::new(format!("port {}", self.path), &self.second, bytes)
     }
 }
 
@@ -40,10 +58,7 @@ fn explain(path: &str, baud: u32, error: serialport::Error) -> Error {
             "add yourself to the port's group and log in again: sudo usermod -aG dialout $USER"
                 .to_owned(),
         ),
-        ErrorKind::NoDevice if exists => (
-            "held by another process",
-            format!("close the other program; `fuser -v {path}` names it"),
-        ),
+        ErrorKind::NoDevice if exists => return held(path).with_source(error),
         _ if !exists => ("no such device", known_ports()),
         _ => (
             "the system refused",
@@ -53,6 +68,24 @@ fn explain(path: &str, baud: u32, error: serialport::Error) -> Error {
     Error::new(format!("port {path} cannot be opened: {what}"))
         .with_hint(hint)
         .with_source(error)
+}
+
+/// One owner per port: the error names the other.
+fn held(path: &str) -> Error {
+    let owners = owners(path);
+    if owners.is_empty() {
+        return Error::new(format!(
+            "port {path} cannot be opened: held by another process"
+        ))
+        .with_hint(format!(
+            "close the other program, perhaps another user's: `sudo fuser -v {path}` names it"
+        ));
+    }
+    Error::new(format!(
+        "port {path} cannot be opened: held by {}",
+        owners.join(" and ")
+    ))
+    .with_hint("close that program, or wait until it has ended")
 }
 
 fn known_ports() -> String {

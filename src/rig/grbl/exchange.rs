@@ -186,7 +186,7 @@ impl Link<'_> {
             }
             if now >= next_poll {
                 self.send(b"?")?;
-                next_poll = now + POLL;
+                next_poll = self.clock.now() + POLL;
             }
             match self.next_reply(deadline.min(next_poll))? {
                 None => {}

@@ -87,10 +87,7 @@ impl Grbl<'_> {
             let place = self.link.machine_position(&status).unwrap_or_default();
             let taken = !status.is("Idle") || route.is_at_end(&place);
             if !taken && !route.is_at_start(&place) {
-                return Err(Fault::unexpected(
-                    format!("it stands still on its way after {reason}"),
-                    "check for noise on the cable, then home again",
-                ));
+                return Err(stands_still(&place, &reason));
             }
             let what = if taken {
                 "the board has taken the line".to_owned()
@@ -119,8 +116,14 @@ impl Grbl<'_> {
             let reason = fault.noise().unwrap_or_default();
             let status = self.link.status()?;
             self.link.on_way(&status, route, "the barrier")?;
-            if status.is("Idle") && !self.link.resync()? {
-                return Err(fault);
+            if status.is("Idle") {
+                let place = self.position_of(&status)?;
+                if !route.is_at_end(&place) {
+                    return Err(stands_still(&place, &reason));
+                }
+                if !self.link.resync()? {
+                    return Err(fault);
+                }
             }
             self.link.note(format!(
                 "{reason}: state {}, asked again ({again} of {RETRIES})",
@@ -159,4 +162,11 @@ impl Grbl<'_> {
             .note(format!("{reason}: state {state}, homed once more (1 of 1)"));
         self.link.exchange("$H", HOMING_TIMEOUT).map(|_| ())
     }
+}
+
+fn stands_still(place: &[f64], reason: &str) -> Fault {
+    Fault::unexpected(
+        format!("it stands still on its way at {place:?}: {reason}"),
+        "check the board's power and for noise on the cable, then home again",
+    )
 }
