@@ -327,3 +327,30 @@ fn a_dark_reference_is_refused() {
         "{text}"
     );
 }
+
+#[test]
+fn the_command_lists_the_visits() {
+    let folder = folder();
+    let session = record(
+        folder.path(),
+        &Setup {
+            lamp: Some(smooth),
+            ..visited(10)
+        },
+    );
+    let root = session.root().to_str().unwrap();
+    let mut command = assert_cmd::Command::cargo_bin("goniofit").unwrap();
+    let output = command.args(["measure", "session", root]).output().unwrap();
+    let table = String::from_utf8(output.stdout).unwrap();
+    let visits = table.lines().skip_while(|l| !l.starts_with("# visit"));
+    let visits: Vec<&str> = visits
+        .skip(1)
+        .take_while(|l| !l.contains("white"))
+        .collect();
+    assert_eq!(visits.len(), 10, "{table}");
+    assert!(visits[0].contains("1.00000 +- 0.00000"), "{table}");
+    assert!(table.contains("# white frames are taken as shot at the first visit's level"));
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(told.contains("warning: the lamp changed by"), "{told}");
+    assert!(Measurements::read(&session.root().join("measurements.csv")).is_ok());
+}

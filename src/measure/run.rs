@@ -107,14 +107,12 @@ pub fn measure_session(
         intensities.extend(intensity);
         reports.push(report);
     }
+    let mut warnings = warnings(&darks, &noise, &white, a);
+    let lit = frames.iter().filter(|f| f.record.kind != FrameKind::Dark);
+    warnings.extend(lamp.warnings(lit.map(|f| f.moment)));
     let report = MeasureReport {
         synthetic: manifest.synthetic,
-        warnings: {
-            let mut all = warnings(&darks, &noise, &white, a);
-            let lit = frames.iter().filter(|f| f.record.kind != FrameKind::Dark);
-            all.extend(lamp.warnings(lit.map(|f| f.moment)));
-            all
-        },
+        warnings,
         lamp: lamp.report(a),
         white: white.report(a),
         noise,
