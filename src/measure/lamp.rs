@@ -152,12 +152,12 @@ impl Lamp {
     /// Second divided difference of the level around the gap between visits v - 1 and v: the mean of those with the visit
     /// before and with the one after, as far as they are of this stretch; 0 with neither.
     fn curvature(&self, v: usize, stretch: &std::ops::RangeInclusive<usize>, c: usize) -> f64 {
-        let slope = |i: usize| {
-            let (a, b) = (&self.visits[i], &self.visits[i + 1]);
-            (b.level[c] - a.level[c]) / (b.at.elapsed_s - a.at.elapsed_s)
-        };
         let time = |i: usize| self.visits[i].at.elapsed_s;
-        let triple = |i: usize| (slope(i + 1) - slope(i)) / (time(i + 2) - time(i));
+        // A clock that stood still between two visits tells no slope.
+        let over = |change: f64, s: f64| if s > 0.0 { change / s } else { 0.0 };
+        let level = |i: usize| self.visits[i].level[c];
+        let slope = |i: usize| over(level(i + 1) - level(i), time(i + 1) - time(i));
+        let triple = |i: usize| over(slope(i + 1) - slope(i), time(i + 2) - time(i));
         let before = (v > *stretch.start() + 1).then(|| triple(v - 2));
         let after = (v < *stretch.end()).then(|| triple(v - 1));
         match (before, after) {
@@ -234,7 +234,10 @@ impl Lamp {
             }
         });
         let before = match &self.visits[..] {
-            [first, second, ..] if first.at.stretch == second.at.stretch => {
+            [first, second, ..]
+                if first.at.stretch == second.at.stretch
+                    && first.at.elapsed_s < second.at.elapsed_s =>
+            {
                 let gap = second.at.elapsed_s - first.at.elapsed_s;
                 let change = |lead| second.level.map(|l| (l - 1.0) * lead / gap);
                 self.white_lead_s.map(change)

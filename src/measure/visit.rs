@@ -83,12 +83,13 @@ pub(super) fn read_lamp(
     let mut compared = Vec::new();
     if let Some((_, first)) = visits.first() {
         for (number, exposures) in &visits {
-            match Visit::against(first, *number, exposures)? {
-                    Some(visit) => compared.push(visit),
-                    None => unused.push(format!(
-                        "reference visit {number} shares no usable exposure with the first and is left out"
-                    )),
-                }
+            if let Some(visit) = Visit::against(first, *number, exposures)? {
+                compared.push(visit);
+            } else {
+                unused.push(format!(
+                    "reference visit {number} has no usable exposure in common with the first: left out"
+                ));
+            }
         }
     }
     Ok((Lamp::new(compared, unused), cells))
