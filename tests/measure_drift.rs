@@ -20,7 +20,7 @@ fn measured(setup: &Setup) -> (Measurements, MeasureReport) {
 }
 
 /// Sixteen sample shots of four configurations, the reference after every second one. No error of the standard, which
-/// would hide the lamp's.
+/// would hide the lamp's, and no grain finer than the pixels, whose error is only estimated.
 fn visited(seed: u64) -> Setup {
     Setup {
         exposures_ms: vec![16.0, 64.0],
@@ -28,6 +28,7 @@ fn visited(seed: u64) -> Setup {
         sample_repeats: 2,
         reference_every: 2,
         white_se: 0.0,
+        grain: 0.0,
         ..Setup::new(seed)
     }
 }
@@ -35,6 +36,10 @@ fn visited(seed: u64) -> Setup {
 /// Warms up and fades: 8 % in all, steepest at the end, each color in its own way.
 fn smooth(x: f64, _: usize) -> [f64; 3] {
     [0.08, 0.07, 0.09].map(|d| 1.0 - d * x * x + 0.01 * (3.0 * x).sin())
+}
+
+fn straight(x: f64, _: usize) -> [f64; 3] {
+    [0.08, 0.07, 0.09].map(|d| 1.0 - d * x)
 }
 
 /// Comes back 10 % fainter after the interruption.
@@ -52,10 +57,11 @@ fn worst(setup: &Setup, measured: &Measurements) -> f64 {
 
 #[test]
 fn a_smoothly_drifting_lamp_is_followed_within_stated_errors() {
-    // 40 sessions of 12 pulls see standard errors off by 20 % and a bias of 0.35 standard errors.
+    // 40 sessions of 12 pulls see standard errors off by 30 % and a bias of 0.3 standard errors.
     let seed = seed(20_261_101);
     let good = verdict(&pulls(40, |i| Setup {
         lamp: Some(smooth),
+        reference_every: 1,
         ..visited(seed + i)
     }));
     println!("{good:?}");
@@ -72,10 +78,11 @@ fn a_smoothly_drifting_lamp_is_followed_within_stated_errors() {
 
 #[test]
 fn what_the_reference_frames_add_to_the_error_is_right() {
-    // Faint reference frames make their noise the largest part of the budget.
+    // Faint reference frames make their noise the largest part of the budget. It also bends the line through the visits,
+    // so the stated error is some 10 % too large here; 40 sessions see it off by 30 %.
     let seed = seed(20_261_102);
     let faint = |i| Setup {
-        lamp: Some(smooth),
+        lamp: Some(straight),
         reference_exposures_ms: vec![16.0],
         reference_mean: [0.03, 0.03, 0.03],
         poses: vec![(0.0, 0.0, [0.9, 1.1, 0.7]), (48.0, 90.0, [0.3, 0.25, 0.2])],
@@ -97,7 +104,12 @@ fn a_lamp_that_comes_back_fainter_is_seen() {
     let seed = seed(20_261_103);
     let setup = |i| Setup {
         lamp: Some(step),
-        breaks: vec![9],
+        breaks: vec![7],
+        poses: vec![
+            (0.0, 0.0, [0.9, 1.1, 0.7]),
+            (48.0, 90.0, [0.3, 0.25, 0.2]),
+            (80.0, 90.0, [0.5, 0.4, 0.45]),
+        ],
         ..visited(seed + i)
     };
     let good = verdict(&pulls(20, setup));
@@ -314,4 +326,31 @@ fn a_dark_reference_is_refused() {
             && text.contains("hint:"),
         "{text}"
     );
+}
+
+#[test]
+fn the_command_lists_the_visits() {
+    let folder = folder();
+    let session = record(
+        folder.path(),
+        &Setup {
+            lamp: Some(smooth),
+            ..visited(10)
+        },
+    );
+    let root = session.root().to_str().unwrap();
+    let mut command = assert_cmd::Command::cargo_bin("goniofit").unwrap();
+    let output = command.args(["measure", "session", root]).output().unwrap();
+    let table = String::from_utf8(output.stdout).unwrap();
+    let visits = table.lines().skip_while(|l| !l.starts_with("# visit"));
+    let visits: Vec<&str> = visits
+        .skip(1)
+        .take_while(|l| !l.contains("white"))
+        .collect();
+    assert_eq!(visits.len(), 10, "{table}");
+    assert!(visits[0].contains("1.00000 +- 0.00000"), "{table}");
+    assert!(table.contains("# white frames are taken as shot at the first visit's level"));
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(told.contains("warning: the lamp changed by"), "{told}");
+    assert!(Measurements::read(&session.root().join("measurements.csv")).is_ok());
 }

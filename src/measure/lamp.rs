@@ -1,16 +1,10 @@
-//! How bright the lamp was: the sample at the reference geometry, shot again and again.
+//! How bright the lamp was at every moment, from the visits of the reference pose.
 //!
-//! A visit's rate is the mean raw value over the crop less its dark, over the exposure time, exposures combined by exposed
-//! time; its level is that rate over the first visit's, on the exposures usable in both. Texture, vignetting and shutter
-//! cancel in the ratio. Between two visits of a stretch the level runs in a straight line, outside them it is the nearest
-//! visit's. What it does not do: see anything the lamp does between two visits, or a pose that is not come back to.
+//! Between two visits of a stretch the level runs in a straight line, outside them it is the nearest visit's. How far the
+//! line may be off is told from how the visits bend. What it does not do: see a flicker between two visits.
 
-use super::dark::Darks;
-use super::frames::{Loader, Moment, Region, Taken, same_exposure};
-use super::noise::Cell;
-use super::stack::{Stack, read_stacks};
-use crate::base::{Error, Result};
-use rayon::prelude::*;
+use super::frames::{Moment, Taken};
+use super::visit::Visit;
 use serde::Serialize;
 
 /// A change of the lamp over the session that is worth a warning.
@@ -56,6 +50,8 @@ pub(super) struct Level {
     shares: Vec<f64>,
     /// Share of frames in stretches without a visit.
     unknown: f64,
+    /// How far a parabola through neighboring visits lies off the straight line, r, g, b.
+    bend: [f64; 3],
 }
 
 impl Default for Level {
@@ -64,32 +60,9 @@ impl Default for Level {
             value: [1.0; 3],
             shares: Vec::new(),
             unknown: 0.0,
+            bend: [0.0; 3],
         }
     }
-}
-
-/// A relative variance, `a shot + rest` with `a` the slope of the photon transfer.
-#[derive(Debug, Clone, Copy, Default)]
-struct Variance {
-    shot: f64,
-    rest: f64,
-}
-
-impl Variance {
-    fn at(&self, a: f64) -> f64 {
-        a * self.shot.max(0.0) + self.rest
-    }
-}
-
-struct Visit {
-    number: u32,
-    at: Moment,
-    level: [f64; 3],
-    /// Of its own rate, the noise of the darks it shares with the first visit included.
-    own: [Variance; 3],
-    /// Of the first visit's rate on the same exposures.
-    first: [Variance; 3],
-    exposures_ms: Vec<f64>,
 }
 
 /// What is known of the lamp.
@@ -103,60 +76,13 @@ pub(super) struct Lamp {
 }
 
 impl Lamp {
-    /// Reads all visits. Also returns what their frames say of the noise.
-    ///
-    /// # Errors
-    /// As [`read_stacks`], or a visit is not brighter than the dark.
-    pub(super) fn read(
-        loader: &Loader<'_>,
-        frames: &[&Taken],
-        region: &Region,
-        darks: &Darks,
-        usable_fraction: f64,
-    ) -> Result<(Self, Vec<Cell>)> {
-        let key = |t: &Taken| (t.moment.stretch, t.record.visit);
-        let mut frames = frames.to_vec();
-        frames.sort_by_key(|t| key(t));
-        let groups: Vec<&[&Taken]> = frames.chunk_by(|a, b| key(a) == key(b)).collect();
-        let dark_room = Self::default();
-        let read = groups.par_iter().map(|group| {
-            let (stacks, cells) =
-                read_stacks(loader, group, region, darks, &dark_room, usable_fraction)?;
-            let usable = stacks.iter().filter(|s| s.clipped == 0);
-            let exposures: Vec<Exposure> = usable.map(|s| Exposure::of(region, s)).collect();
-            Ok((group[0].record.visit, exposures, cells))
-        });
-        let read: Vec<Result<_>> = read.collect();
-        let mut lamp = Self::default();
-        let mut cells = Vec::new();
-        let mut visits = Vec::new();
-        for visit in read {
-            let (number, exposures, more) = visit?;
-            cells.extend(more);
-            if exposures.is_empty() {
-                lamp.unused.push(format!(
-                    "reference visit {number} is saturated in every exposure and left out"
-                ));
-            } else {
-                visits.push((number, exposures));
-            }
+    /// A lamp known from these visits, in the order of stretches and time; `unused` says which others there were.
+    pub(super) fn new(visits: Vec<Visit>, unused: Vec<String>) -> Self {
+        Self {
+            visits,
+            unused,
+            white_lead_s: None,
         }
-        visits.sort_by(|(_, a), (_, b)| {
-            let (a, b) = (Exposure::mean_moment(a), Exposure::mean_moment(b));
-            let by_stretch = a.stretch.cmp(&b.stretch);
-            by_stretch.then(a.elapsed_s.total_cmp(&b.elapsed_s))
-        });
-        if let Some((_, first)) = visits.first() {
-            for (number, exposures) in &visits {
-                match Visit::against(first, *number, exposures)? {
-                    Some(visit) => lamp.visits.push(visit),
-                    None => lamp.unused.push(format!(
-                        "reference visit {number} shares no usable exposure with the first and is left out"
-                    )),
-                }
-            }
-        }
-        Ok((lamp, cells))
     }
 
     /// Tells when the white frames were shot.
@@ -182,6 +108,7 @@ impl Lamp {
             value: [0.0; 3],
             shares: vec![0.0; self.visits.len()],
             unknown: 0.0,
+            bend: [0.0; 3],
         };
         for moment in moments {
             self.add_shares(moment, part, &mut level);
@@ -213,12 +140,35 @@ impl Lamp {
                 let along = (moment.elapsed_s - time(v - 1)) / (time(v) - time(v - 1));
                 level.shares[v] += part * along;
                 level.shares[v - 1] += part * (1.0 - along);
+                let area = (moment.elapsed_s - time(v - 1)) * (moment.elapsed_s - time(v));
+                let stretch = first..=last;
+                for (c, bend) in level.bend.iter_mut().enumerate() {
+                    *bend += part * area * self.curvature(v, &stretch, c);
+                }
             }
         }
     }
 
+    /// Second divided difference of the level around the gap between visits v - 1 and v: the mean of those with the visit
+    /// before and with the one after, as far as they are of this stretch; 0 with neither.
+    fn curvature(&self, v: usize, stretch: &std::ops::RangeInclusive<usize>, c: usize) -> f64 {
+        let time = |i: usize| self.visits[i].at.elapsed_s;
+        // A clock that stood still between two visits tells no slope.
+        let over = |change: f64, s: f64| if s > 0.0 { change / s } else { 0.0 };
+        let level = |i: usize| self.visits[i].level[c];
+        let slope = |i: usize| over(level(i + 1) - level(i), time(i + 1) - time(i));
+        let triple = |i: usize| over(slope(i + 1) - slope(i), time(i + 2) - time(i));
+        let before = (v > *stretch.start() + 1).then(|| triple(v - 2));
+        let after = (v < *stretch.end()).then(|| triple(v - 1));
+        match (before, after) {
+            (Some(a), Some(b)) => 0.5 * (a + b),
+            (one, other) => one.or(other).unwrap_or(0.0),
+        }
+    }
+
     /// The relative variance that levels leave in a ratio of `sample` to `white` signals, each a mean of exposures with
-    /// their weights. The errors of one visit are the same wherever it has a share, and so are those of the first.
+    /// their weights. The errors of one visit are the same wherever it has a share, and so are those of the first. The
+    /// bend between visits is taken as one standard deviation of what a straight line leaves out.
     pub(super) fn relative_variance(
         &self,
         sample: &[(f64, &Level)],
@@ -241,7 +191,14 @@ impl Lamp {
         let unknown = |levels: &[(f64, &Level)]| -> f64 {
             levels.iter().map(|(w, l)| w * l.unknown).sum::<f64>() * self.unknown(channel)
         };
-        own + first * first + unknown(sample).powi(2) + unknown(white).powi(2)
+        let bend = |levels: &[(f64, &Level)]| -> f64 {
+            let bends = levels
+                .iter()
+                .map(|(w, l)| w * l.bend[channel] / l.value[channel]);
+            bends.sum()
+        };
+        let bend = bend(sample) - bend(white);
+        own + first * first + bend * bend + unknown(sample).powi(2) + unknown(white).powi(2)
     }
 
     /// The standard uncertainty of the level in a stretch nobody looked at the lamp in: the range of all levels seen, or
@@ -277,7 +234,10 @@ impl Lamp {
             }
         });
         let before = match &self.visits[..] {
-            [first, second, ..] if first.at.stretch == second.at.stretch => {
+            [first, second, ..]
+                if first.at.stretch == second.at.stretch
+                    && first.at.elapsed_s < second.at.elapsed_s =>
+            {
                 let gap = second.at.elapsed_s - first.at.elapsed_s;
                 let change = |lead| second.level.map(|l| (l - 1.0) * lead / gap);
                 self.white_lead_s.map(change)
@@ -334,123 +294,5 @@ impl Lamp {
             }
         }
         warnings
-    }
-}
-
-/// One exposure of one visit: crop means of the dark-subtracted raw value, and what their variances are made of.
-struct Exposure {
-    exposure_ms: f64,
-    repeats: f64,
-    signal: [f64; 3],
-    /// `sum w^2 signal / repeats`.
-    shot: [f64; 3],
-    /// `sum w^2 dark_variance / repeats`.
-    read: [f64; 3],
-    /// `sum w^2 dark_variance / dark frames`: the same error in every visit.
-    dark: [f64; 3],
-    moments: Vec<Moment>,
-}
-
-impl Exposure {
-    fn of(region: &Region, stack: &Stack) -> Self {
-        let mut area = [0.0; 3];
-        for pixel in &region.pixels {
-            area[pixel.channel] += pixel.weight;
-        }
-        let (mut signal, mut shot, mut squares) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-        for (pixel, &value) in region.pixels.iter().zip(&stack.signal) {
-            let c = pixel.channel;
-            let w = pixel.weight / area[c];
-            signal[c] += w * value;
-            shot[c] += w * w * value;
-            squares[c] += w * w;
-        }
-        Self {
-            exposure_ms: stack.exposure_ms,
-            repeats: stack.repeats,
-            signal,
-            shot: shot.map(|s| s / stack.repeats),
-            read: squares.map(|s| s * stack.dark_variance / stack.repeats),
-            dark: squares.map(|s| s * stack.dark_variance / stack.dark_count),
-            moments: stack.moments.clone(),
-        }
-    }
-
-    fn mean_moment(exposures: &[Self]) -> Moment {
-        let moments: Vec<&Moment> = exposures.iter().flat_map(|e| &e.moments).collect();
-        let sum: f64 = moments.iter().map(|m| m.elapsed_s).sum();
-        Moment {
-            stretch: moments.first().map_or(0, |m| m.stretch),
-            elapsed_s: sum / moments.len() as f64,
-        }
-    }
-
-    /// Exposed time.
-    fn time(&self) -> f64 {
-        self.repeats * self.exposure_ms
-    }
-}
-
-/// Rate of one channel over some exposures, and the relative variance of its own frames.
-fn rate(exposures: &[&Exposure], channel: usize) -> (f64, Variance) {
-    let total: f64 = exposures.iter().map(|e| e.time()).sum();
-    let mut signal = 0.0;
-    let mut variance = Variance::default();
-    for e in exposures {
-        signal += e.repeats * e.signal[channel];
-        variance.shot += e.repeats * e.repeats * e.shot[channel];
-        variance.rest += e.repeats * e.repeats * e.read[channel];
-    }
-    variance.shot /= signal * signal;
-    variance.rest /= signal * signal;
-    (signal / total, variance)
-}
-
-impl Visit {
-    /// A visit compared with the first one; none when no exposure is usable in both.
-    fn against(first: &[Exposure], number: u32, exposures: &[Exposure]) -> Result<Option<Self>> {
-        let pairs: Vec<(&Exposure, &Exposure)> = exposures
-            .iter()
-            .filter_map(|e| {
-                let same = |f: &&Exposure| same_exposure(f.exposure_ms, e.exposure_ms);
-                first.iter().find(same).map(|f| (e, f))
-            })
-            .collect();
-        if pairs.is_empty() {
-            return Ok(None);
-        }
-        let (here, there): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
-        let mut visit = Self {
-            number,
-            at: Exposure::mean_moment(exposures),
-            level: [0.0; 3],
-            own: [Variance::default(); 3],
-            first: [Variance::default(); 3],
-            exposures_ms: here.iter().map(|e| e.exposure_ms).collect(),
-        };
-        let time = |list: &[&Exposure]| list.iter().map(|e| e.time()).sum::<f64>();
-        let (time_here, time_there) = (time(&here), time(&there));
-        for c in 0..3 {
-            let (rate_here, mut own) = rate(&here, c);
-            let (rate_there, of_first) = rate(&there, c);
-            for rate in [rate_here, rate_there] {
-                if !(f64::MIN_POSITIVE..f64::MAX).contains(&rate) {
-                    return Err(Error::new(format!(
-                        "reference visit {number}: {} is not brighter than the dark ({rate} raw values per millisecond)",
-                        ["red", "green", "blue"][c]
-                    ))
-                    .with_hint("was the lamp on for the reference frames, and off for the darks?"));
-                }
-            }
-            for (e, f) in here.iter().zip(&there) {
-                let share =
-                    e.repeats / (time_here * rate_here) - f.repeats / (time_there * rate_there);
-                own.rest += e.dark[c] * share * share;
-            }
-            visit.level[c] = rate_here / rate_there;
-            visit.own[c] = own;
-            visit.first[c] = of_first;
-        }
-        Ok(Some(visit))
     }
 }

@@ -15,6 +15,7 @@ mod report;
 mod run;
 mod stack;
 mod statistics;
+mod visit;
 mod white;
 
 pub use decode::{RawFrame, decode, decode_file};

@@ -7,6 +7,7 @@ use super::lamp::{Lamp, Level};
 use super::noise::{self, Cell, NoiseReport};
 use super::report::{Budget, Condition, ConfigurationReport, MeasureOptions, MeasureReport};
 use super::stack::{Stack, read_stacks};
+use super::visit::read_lamp;
 use super::white::{TERMS, White};
 use crate::base::{Context, Error, Result, Watch};
 use crate::session::{
@@ -56,7 +57,7 @@ pub fn measure_session(
     };
     let darks = Darks::read(&loader, &of_kind(FrameKind::Dark), options.hot_sigma)?;
     let references = of_kind(FrameKind::Reference);
-    let (mut lamp, mut cells) = read_lamp(&loader, &manifest, &references, &darks, options)?;
+    let (mut lamp, mut cells) = follow_lamp(&loader, &manifest, &references, &darks, options)?;
     let whites = of_kind(FrameKind::White);
     lamp.note_white(&whites);
 
@@ -106,14 +107,12 @@ pub fn measure_session(
         intensities.extend(intensity);
         reports.push(report);
     }
+    let mut warnings = warnings(&darks, &noise, &white, a);
+    let lit = frames.iter().filter(|f| f.record.kind != FrameKind::Dark);
+    warnings.extend(lamp.warnings(lit.map(|f| f.moment)));
     let report = MeasureReport {
         synthetic: manifest.synthetic,
-        warnings: {
-            let mut all = warnings(&darks, &noise, &white, a);
-            let lit = frames.iter().filter(|f| f.record.kind != FrameKind::Dark);
-            all.extend(lamp.warnings(lit.map(|f| f.moment)));
-            all
-        },
+        warnings,
         lamp: lamp.report(a),
         white: white.report(a),
         noise,
@@ -164,7 +163,7 @@ fn check_frames(frames: &[Taken], known: impl Fn(u32) -> bool) -> Result<()> {
 }
 
 /// Follows the lamp over the visits of the reference pose, if there are any.
-fn read_lamp(
+fn follow_lamp(
     loader: &Loader<'_>,
     manifest: &Manifest,
     references: &[&Taken],
@@ -178,7 +177,7 @@ fn read_lamp(
         .coverage(manifest.sample_square_mm)
         .context(|| "reference geometry")?;
     let region = Region::covered(&coverage, darks.size, darks.cfa, &darks.hot);
-    Lamp::read(loader, references, &region, darks, options.usable_fraction)
+    read_lamp(loader, references, &region, darks, options.usable_fraction)
 }
 
 /// The box around all crops and the pixels next to them.

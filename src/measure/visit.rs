@@ -1,0 +1,214 @@
+//! From the frames of the reference pose to how bright the lamp was at each visit.
+//!
+//! A visit's rate is the mean raw value over the crop less its dark, over the exposure time, exposures combined by exposed
+//! time; its level is that rate over the first visit's, on the exposures usable in both. Texture, vignetting and shutter
+//! cancel in the ratio. A pose that is not come back to exactly does not.
+
+use super::dark::Darks;
+use super::frames::{Loader, Moment, Region, Taken, same_exposure};
+use super::lamp::Lamp;
+use super::noise::Cell;
+use super::stack::{Stack, read_stacks};
+use crate::base::{Error, Result};
+use rayon::prelude::*;
+
+/// A relative variance, `a shot + rest` with `a` the slope of the photon transfer.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Variance {
+    shot: f64,
+    rest: f64,
+}
+
+impl Variance {
+    /// Its value.
+    pub(super) fn at(&self, a: f64) -> f64 {
+        a * self.shot.max(0.0) + self.rest
+    }
+}
+
+/// One visit, compared with the first.
+pub(super) struct Visit {
+    pub(super) number: u32,
+    pub(super) at: Moment,
+    pub(super) level: [f64; 3],
+    /// Of its own rate, the noise of the darks it shares with the first visit included.
+    pub(super) own: [Variance; 3],
+    /// Of the first visit's rate on the same exposures.
+    pub(super) first: [Variance; 3],
+    pub(super) exposures_ms: Vec<f64>,
+}
+
+/// Reads all visits. Also returns what their frames say of the noise.
+///
+/// # Errors
+/// As [`read_stacks`], or a visit is not brighter than the dark.
+pub(super) fn read_lamp(
+    loader: &Loader<'_>,
+    frames: &[&Taken],
+    region: &Region,
+    darks: &Darks,
+    usable_fraction: f64,
+) -> Result<(Lamp, Vec<Cell>)> {
+    let key = |t: &Taken| (t.moment.stretch, t.record.visit);
+    let mut frames = frames.to_vec();
+    frames.sort_by_key(|t| key(t));
+    let groups: Vec<&[&Taken]> = frames.chunk_by(|a, b| key(a) == key(b)).collect();
+    let unknown = Lamp::default();
+    let read = groups.par_iter().map(|group| {
+        let (stacks, cells) = read_stacks(loader, group, region, darks, &unknown, usable_fraction)?;
+        let usable = stacks.iter().filter(|s| s.clipped == 0);
+        let exposures: Vec<Exposure> = usable.map(|s| Exposure::of(region, s)).collect();
+        Ok((group[0].record.visit, exposures, cells))
+    });
+    let read: Vec<Result<_>> = read.collect();
+    let mut unused = Vec::new();
+    let mut cells = Vec::new();
+    let mut visits = Vec::new();
+    for visit in read {
+        let (number, exposures, more) = visit?;
+        cells.extend(more);
+        if exposures.is_empty() {
+            unused.push(format!(
+                "reference visit {number} is saturated in every exposure and left out"
+            ));
+        } else {
+            visits.push((number, exposures));
+        }
+    }
+    visits.sort_by(|(_, a), (_, b)| {
+        let (a, b) = (Exposure::mean_moment(a), Exposure::mean_moment(b));
+        let by_stretch = a.stretch.cmp(&b.stretch);
+        by_stretch.then(a.elapsed_s.total_cmp(&b.elapsed_s))
+    });
+    let mut compared = Vec::new();
+    if let Some((_, first)) = visits.first() {
+        for (number, exposures) in &visits {
+            if let Some(visit) = Visit::against(first, *number, exposures)? {
+                compared.push(visit);
+            } else {
+                unused.push(format!(
+                    "reference visit {number} has no usable exposure in common with the first: left out"
+                ));
+            }
+        }
+    }
+    Ok((Lamp::new(compared, unused), cells))
+}
+
+/// One exposure of one visit: crop means of the dark-subtracted raw value, and what their variances are made of.
+struct Exposure {
+    exposure_ms: f64,
+    repeats: f64,
+    signal: [f64; 3],
+    /// `sum w^2 signal / repeats`.
+    shot: [f64; 3],
+    /// `sum w^2 dark_variance / repeats`.
+    read: [f64; 3],
+    /// `sum w^2 dark_variance / dark frames`: the same error in every visit.
+    dark: [f64; 3],
+    moments: Vec<Moment>,
+}
+
+impl Exposure {
+    fn of(region: &Region, stack: &Stack) -> Self {
+        let mut area = [0.0; 3];
+        for pixel in &region.pixels {
+            area[pixel.channel] += pixel.weight;
+        }
+        let (mut signal, mut shot, mut squares) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        for (pixel, &value) in region.pixels.iter().zip(&stack.signal) {
+            let c = pixel.channel;
+            let w = pixel.weight / area[c];
+            signal[c] += w * value;
+            shot[c] += w * w * value;
+            squares[c] += w * w;
+        }
+        Self {
+            exposure_ms: stack.exposure_ms,
+            repeats: stack.repeats,
+            signal,
+            shot: shot.map(|s| s / stack.repeats),
+            read: squares.map(|s| s * stack.dark_variance / stack.repeats),
+            dark: squares.map(|s| s * stack.dark_variance / stack.dark_count),
+            moments: stack.moments.clone(),
+        }
+    }
+
+    fn mean_moment(exposures: &[Self]) -> Moment {
+        let moments: Vec<&Moment> = exposures.iter().flat_map(|e| &e.moments).collect();
+        let sum: f64 = moments.iter().map(|m| m.elapsed_s).sum();
+        Moment {
+            stretch: moments.first().map_or(0, |m| m.stretch),
+            elapsed_s: sum / moments.len() as f64,
+        }
+    }
+
+    /// Exposed time.
+    fn time(&self) -> f64 {
+        self.repeats * self.exposure_ms
+    }
+}
+
+/// Rate of one channel over some exposures, and the relative variance of its own frames.
+fn rate(exposures: &[&Exposure], channel: usize) -> (f64, Variance) {
+    let total: f64 = exposures.iter().map(|e| e.time()).sum();
+    let mut signal = 0.0;
+    let mut variance = Variance::default();
+    for e in exposures {
+        signal += e.repeats * e.signal[channel];
+        variance.shot += e.repeats * e.repeats * e.shot[channel];
+        variance.rest += e.repeats * e.repeats * e.read[channel];
+    }
+    variance.shot /= signal * signal;
+    variance.rest /= signal * signal;
+    (signal / total, variance)
+}
+
+impl Visit {
+    /// A visit compared with the first one; none when no exposure is usable in both.
+    fn against(first: &[Exposure], number: u32, exposures: &[Exposure]) -> Result<Option<Self>> {
+        let pairs: Vec<(&Exposure, &Exposure)> = exposures
+            .iter()
+            .filter_map(|e| {
+                let same = |f: &&Exposure| same_exposure(f.exposure_ms, e.exposure_ms);
+                first.iter().find(same).map(|f| (e, f))
+            })
+            .collect();
+        if pairs.is_empty() {
+            return Ok(None);
+        }
+        let (here, there): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
+        let mut visit = Self {
+            number,
+            at: Exposure::mean_moment(exposures),
+            level: [0.0; 3],
+            own: [Variance::default(); 3],
+            first: [Variance::default(); 3],
+            exposures_ms: here.iter().map(|e| e.exposure_ms).collect(),
+        };
+        let time = |list: &[&Exposure]| list.iter().map(|e| e.time()).sum::<f64>();
+        let (time_here, time_there) = (time(&here), time(&there));
+        for c in 0..3 {
+            let (rate_here, mut own) = rate(&here, c);
+            let (rate_there, of_first) = rate(&there, c);
+            for rate in [rate_here, rate_there] {
+                if !(f64::MIN_POSITIVE..f64::MAX).contains(&rate) {
+                    return Err(Error::new(format!(
+                        "reference visit {number}: {} is not brighter than the dark ({rate} raw values per millisecond)",
+                        ["red", "green", "blue"][c]
+                    ))
+                    .with_hint("was the lamp on for the reference frames, and off for the darks?"));
+                }
+            }
+            for (e, f) in here.iter().zip(&there) {
+                let share =
+                    e.repeats / (time_here * rate_here) - f.repeats / (time_there * rate_there);
+                own.rest += e.dark[c] * share * share;
+            }
+            visit.level[c] = rate_here / rate_there;
+            visit.own[c] = own;
+            visit.first[c] = of_first;
+        }
+        Ok(Some(visit))
+    }
+}
