@@ -152,6 +152,13 @@ impl Guard {
         if !homed || !moving {
             return;
         }
+        if let Some(contact) = self.rig.nearest(&angles) {
+            let mut nearest = self.nearest_mm.lock().unwrap();
+            *nearest = nearest.min(contact.distance_mm);
+            if contact.distance_mm <= 0.0 {
+                self.report(format!("{} touches {}", contact.a, contact.b));
+            }
+        }
         for (name, motor) in self.rig.motors_of("main") {
             // The switches lie beyond the limits; the first move comes from there.
             let home = motor.angle_deg(-1.0);
@@ -562,8 +569,12 @@ fn captures(
 fn tell(what: &str, stories: &[Story]) {
     let interruptions: u32 = stories.iter().map(|s| s.interruptions).sum();
     let notes: u32 = stories.iter().map(|s| s.notes).sum();
+    let nearest = stories
+        .iter()
+        .map(|s| s.nearest_mm)
+        .fold(f64::INFINITY, f64::min);
     println!(
-        "{what:<14} {:>6} captures {interruptions:>6} interruptions {notes:>6} recovered in place",
+        "{what:<14} {:>6} captures {interruptions:>6} interruptions {notes:>6} recovered in place, bodies never nearer than {nearest:.0} mm",
         stories.len()
     );
 }

@@ -3,15 +3,15 @@
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
 use goniofit::base::{Result, Unwatched, Watch};
-use goniofit::rig::capture::{self, CaptureOptions};
+use goniofit::rig::capture::{Capture, CaptureOptions, Summary};
 use goniofit::rig::simulated::{
     capture_from_replay, capture_in_process, capture_over_pty, connection_to, zaber_options,
 };
 use goniofit::rig::{
     ByteModel, Camera, CapturedFrame, Clock, Homing, ModelTransport, Motion, PtySimulator, Replay,
     RigDescription, ScpiModel, SerialTransport, SharedDevice, Shot, SystemClock, Target, Transport,
-    Travel, VirtualClock, Way, WireEntry, Wiring, Zaber, ZaberFault, ZaberFaultKind, ZaberModel,
-    ZaberOptions, read_wire_log,
+    Travel, Unattended, VirtualClock, Way, WireEntry, Wiring, Zaber, ZaberFault, ZaberFaultKind,
+    ZaberModel, ZaberOptions, read_wire_log,
 };
 use goniofit::session::{CameraFacts, Event, Plan, SessionFolder, read_journal};
 use std::io;
@@ -722,7 +722,7 @@ fn sixteen_poses_on_rotary_stages_leave_a_whole_session_that_replays() {
     let rig = rig();
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (folder.path().join("a"), folder.path().join("b"));
-    let options = CaptureOptions::of(&rig);
+    let options = CaptureOptions::default();
     let summary = capture_in_process(
         &rig,
         &plan16(),
@@ -732,7 +732,7 @@ fn sixteen_poses_on_rotary_stages_leave_a_whole_session_that_replays() {
         &Unwatched,
     )
     .unwrap();
-    assert!(summary.finished);
+    assert!(summary.finished());
     assert_eq!((summary.frames, summary.frames_planned), (36, 36));
     let frames = SessionFolder::open(&first).unwrap().frames().unwrap();
     let tenth = frames.iter().find(|f| f.config == Some(10)).unwrap();
@@ -753,13 +753,13 @@ fn sixteen_poses_on_rotary_stages_leave_a_whole_session_that_replays() {
         &plan16(),
         entries,
         &mut TextCamera::default(),
+        None,
         &second,
         &options,
-        &mut |_| Ok(()),
-        &Unwatched,
+        &Unattended(&Unwatched),
     )
     .unwrap();
-    assert!(again.finished);
+    assert!(again.finished());
 }
 
 struct Room {
@@ -769,7 +769,7 @@ struct Room {
     clock: Arc<VirtualClock>,
 }
 
-fn captured(faults: Vec<ZaberFault>, out: &Path) -> (Room, Result<capture::Summary>, Vec<bool>) {
+fn captured(faults: Vec<ZaberFault>, out: &Path) -> (Room, Result<Summary>, Vec<bool>) {
     let rig = rig();
     let mut options = zaber_options(&rig, &rig.boards[0]);
     options.faults = faults;
@@ -787,16 +787,16 @@ fn captured(faults: Vec<ZaberFault>, out: &Path) -> (Room, Result<capture::Summa
         lamp: Some(lamp.clone()),
         lit: Vec::new(),
     };
-    let result = capture::run(
-        &rig,
-        &plan16(),
+    let result = Capture {
+        description: &rig,
+        plan: &plan16(),
         connection,
-        &mut camera,
-        out,
-        &CaptureOptions::of(&rig),
-        &mut |_| Ok(()),
-        &Unwatched,
-    );
+        camera: &mut camera,
+        judge: None,
+        operator: &Unattended(&Unwatched),
+        options: CaptureOptions::default(),
+    }
+    .start(out);
     let room = Room {
         arms,
         table,
@@ -810,7 +810,7 @@ fn captured(faults: Vec<ZaberFault>, out: &Path) -> (Room, Result<capture::Summa
 fn the_lamp_burns_for_whites_and_samples_only() {
     let folder = tempfile::tempdir().unwrap();
     let (room, result, lit) = captured(vec![], &folder.path().join("s"));
-    assert!(result.unwrap().finished);
+    assert!(result.unwrap().finished());
     assert_eq!(lit, [vec![true; 34], vec![false; 2]].concat());
     assert!(!room.lamp.lock().unwrap().is_on());
     assert!((room.lamp.lock().unwrap().current_a() - 0.7).abs() < 1e-9);
@@ -867,7 +867,7 @@ fn a_lost_or_late_reply_in_a_capture_costs_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let fault = ZaberFault { on_move: 9, kind };
         let (_, result, _) = captured(vec![fault], &folder.path().join("s"));
-        assert!(result.unwrap().finished, "{kind:?}");
+        assert!(result.unwrap().finished(), "{kind:?}");
     }
 }
 
@@ -879,16 +879,16 @@ fn limits_of_the_controller_that_do_not_hold_those_of_the_rig_file_are_refused()
     options.axes[3].limit_max = 1_000_000;
     let model: SharedDevice = Arc::new(Mutex::new(ZaberModel::new(options)));
     let (_, connection) = connection_to([("arms".to_owned(), model)]);
-    let error = capture::run(
-        &rig,
-        &plan16(),
+    let error = Capture {
+        description: &rig,
+        plan: &plan16(),
         connection,
-        &mut TextCamera::default(),
-        &folder.path().join("s"),
-        &CaptureOptions::of(&rig),
-        &mut |_| Ok(()),
-        &Unwatched,
-    )
+        camera: &mut TextCamera::default(),
+        judge: None,
+        operator: &Unattended(&Unwatched),
+        options: CaptureOptions::default(),
+    }
+    .start(&folder.path().join("s"))
     .unwrap_err()
     .report();
     assert!(
@@ -946,12 +946,12 @@ fn sixteen_poses_over_three_real_ports_are_captured() {
         &plan16(),
         &mut TextCamera::default(),
         &folder.path().join("s"),
-        &CaptureOptions::of(&rig),
+        &CaptureOptions::default(),
         100.0,
         &Unwatched,
     )
     .unwrap();
-    assert!(summary.finished && summary.frames == 36);
+    assert!(summary.finished() && summary.frames == 36);
 }
 
 #[test]
@@ -976,7 +976,7 @@ fn the_program_drives_the_simulated_devices_of_the_rig_file() {
     let rig = RigDescription::from_toml(&quick).unwrap();
     let old = folder.path().join("old");
     let mut camera = TextCamera::default();
-    let options = CaptureOptions::of(&rig);
+    let options = CaptureOptions::default();
     capture_in_process(&rig, &plan16(), &mut camera, &old, &options, &Unwatched).unwrap();
 
     let program = env!("CARGO_BIN_EXE_goniofit");

@@ -6,12 +6,14 @@ use super::output::data;
 use super::terminal::Terminal;
 use crate::base::{Error, Result, Watch};
 use crate::measure::FrameJudge;
-use crate::rig::capture::{Capture, CaptureOptions, End, Order, Summary, plan_capture};
+use crate::rig::capture::{
+    Capture, CaptureOptions, CapturePlan, End, Order, Summary, plan_capture,
+};
 use crate::rig::exposures::Verdict;
 use crate::rig::simulated::capture_from_replay;
 use crate::rig::{
-    AxisName, Camera, Connection, Judge, LampOutput, Operator, Outlook, PlannedShot, ReplayCamera, Request,
-    RigDescription, Seen, SerialTransport, SystemClock, Transport, read_wire_log,
+    AxisName, Camera, Connection, Judge, LampOutput, Operator, Outlook, PlannedShot, ReplayCamera,
+    Request, RigDescription, Seen, SerialTransport, SystemClock, Transport, read_wire_log,
 };
 use crate::session::{Plan, SessionFolder, sha256};
 use std::io::{BufRead, IsTerminal};
@@ -106,7 +108,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
     }
     if arguments.dry_run {
         let outlook = Outlook::new(&rig, &work, &Default::default());
-        print_plan(&rig, &plan, &outlook, arguments.json);
+        print_plan(&rig, &plan, &work, &outlook, arguments.json);
         return Ok(Outcome::Done);
     }
     let camera_name = arguments
@@ -422,7 +424,13 @@ fn stops(shots: &[PlannedShot]) -> Vec<(&PlannedShot, usize)> {
     stops
 }
 
-fn print_plan(rig: &RigDescription, plan: &Plan, outlook: &Outlook, json: bool) {
+fn print_plan(
+    rig: &RigDescription,
+    plan: &Plan,
+    work: &CapturePlan,
+    outlook: &Outlook,
+    json: bool,
+) {
     let shots = outlook.shots();
     let stops = stops(shots);
     if json {
@@ -442,6 +450,9 @@ fn print_plan(rig: &RigDescription, plan: &Plan, outlook: &Outlook, json: bool) 
             serde_json::json!({
                 "rig": rig.name, "plan": plan.name, "frames": shots.len(), "stops": stops,
                 "seconds": outlook.seconds_left(),
+                "travel_seconds": work.tour.as_ref().map(|t| t.seconds),
+                "shortest_travel_seconds": work.tour.as_ref().map(|t| t.lower_bound),
+                "clearance_checked": rig.clearance_is_checked(),
             })
         );
         return;
@@ -466,6 +477,26 @@ fn print_plan(rig: &RigDescription, plan: &Plan, outlook: &Outlook, json: bool) 
             angles.join("  ")
         );
     }
+    if let Some(tour) = &work.tour {
+        let excess = 100.0 * (tour.seconds / tour.lower_bound - 1.0);
+        data!(
+            "# travel and settling {:.1} s, {}",
+            tour.seconds,
+            if excess < 0.05 {
+                "the shortest there is".to_owned()
+            } else {
+                format!("at most {excess:.1} % above the shortest")
+            }
+        );
+    }
+    data!(
+        "# {}",
+        if rig.clearance_is_checked() {
+            "limits and clearance checked on every way"
+        } else {
+            "limits checked; clearance not: the rig file names no bodies"
+        }
+    );
     data!(
         "# estimated time {:.0} s, homing and downloads not counted",
         outlook.seconds_left()

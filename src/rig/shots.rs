@@ -7,6 +7,7 @@ use super::description::{Metering, RigDescription};
 use super::devices::Shot;
 use super::exposures::{ExposureRule, Next, Verdict, next_exposure};
 use super::kinematics::AxisAngles;
+use super::tour::Tour;
 use crate::base::{Context, Error, Result};
 use crate::session::{Configuration, Entry, Event, Exposedness, FrameKind, FrameRecord, Plan};
 
@@ -141,6 +142,8 @@ pub struct CapturePlan {
     pub reference: Option<Stop>,
     /// Where darks are taken: the last configuration's place.
     pub dark: Stop,
+    /// How short the travel from the white standard through the configurations is; none in the plan's own order.
+    pub tour: Option<Tour>,
     rule: ExposureRule,
     dark_repeats: u32,
     reference_every: u32,
@@ -168,9 +171,18 @@ pub fn plan_capture(rig: &RigDescription, plan: &Plan, order: Order) -> Result<C
         .zip(&angles)
         .map(|(c, a)| stop(FrameKind::Sample, Some(c.id), *c, *a))
         .collect();
-    if order == Order::Short {
-        samples = in_short_order(rig, samples, &reference_angles)?;
+    for stop in &samples {
+        rig.check_pose_clearance(&stop.angles)
+            .context(|| format!("configuration {}", stop.config.unwrap_or_default()))?;
     }
+    let mut tour = None;
+    if order == Order::Short {
+        let poses: Vec<AxisAngles> = samples.iter().map(|s| s.angles).collect();
+        let best = rig.order(&poses, &reference_angles, None)?;
+        samples = best.order.iter().map(|i| samples[*i].clone()).collect();
+        tour = Some(best);
+    }
+    check_ways(rig, &samples, &reference_angles)?;
     let last = samples
         .last()
         .cloned()
@@ -181,18 +193,25 @@ pub fn plan_capture(rig: &RigDescription, plan: &Plan, order: Order) -> Result<C
             .then(|| stop(FrameKind::Reference, None, reference, reference_angles)),
         dark: stop(FrameKind::Dark, None, last.pose, last.angles),
         samples,
+        tour,
         rule: ExposureRule::of(&rig.camera),
         dark_repeats: rig.camera.dark_repeats,
         reference_every: rig.lamp.reference_every,
     })
 }
 
-fn in_short_order(
-    _rig: &RigDescription,
-    samples: Vec<Stop>,
-    _start: &AxisAngles,
-) -> Result<Vec<Stop>> {
-    Ok(samples)
+/// Every way of an undisturbed capture exists: from stop to stop, and to the reference pose and back.
+fn check_ways(rig: &RigDescription, samples: &[Stop], reference: &AxisAngles) -> Result<()> {
+    let mut from = reference;
+    for stop in samples {
+        let ways = [(from, &stop.angles), (&stop.angles, reference)];
+        for (from, to) in ways {
+            rig.path(from, to)
+                .context(|| format!("configuration {}", stop.config.unwrap_or_default()))?;
+        }
+        from = &stop.angles;
+    }
+    Ok(())
 }
 
 impl CapturePlan {

@@ -128,7 +128,10 @@ impl Way<'_> {
         let inside = self.inside(from);
         if inside != *from
             && self.stands(&inside)
-            && self.checker.sweep(from, &inside, &floors).is_none()
+            && self
+                .checker
+                .sweep(from, &inside, &floors, MOST_LOOKS)
+                .is_none()
         {
             let mut poses = self.clear(&inside, to)?;
             poses.insert(0, *from);
