@@ -62,8 +62,8 @@ impl Stack {
     }
 }
 
-/// Reads all shots of one thing, grouped by exposure (ascending), and compares successive usable ones of one stretch for
-/// their noise.
+/// Reads all shots of one thing, grouped by exposure (ascending), and compares successive usable ones for their noise. A
+/// step of the lamp between them does not count: the ratio of the signals is taken from the frames.
 ///
 /// # Errors
 /// A frame is missing, changed or of another camera, or one that is not clipped has no dark of its exposure.
@@ -82,7 +82,7 @@ pub(super) fn read_stacks(
     });
     let mut stacks: Vec<Stack> = Vec::new();
     let mut cells = Vec::new();
-    let mut previous: Option<(Sample, usize)> = None;
+    let mut previous: Option<Sample> = None;
     for taken in frames {
         let record = &taken.record;
         let frame = loader.load(record)?;
@@ -117,10 +117,7 @@ pub(super) fn read_stacks(
             }
         };
         stacks.push(stack);
-        let sample = sample.map(|s| (s, taken.moment.stretch));
-        if let (Some((first, before)), Some((second, now))) = (&previous, &sample)
-            && before == now
-        {
+        if let (Some(first), Some(second)) = (&previous, &sample) {
             cells.extend(pair_cells(first, second, region));
         }
         previous = sample;
