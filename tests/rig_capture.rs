@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
 use goniofit::base::{Error, Result, Unwatched, Watch};
+use goniofit::math::PolarDirection;
 use goniofit::rig::capture::{Capture, CaptureOptions, Order, Summary, plan_capture};
 use goniofit::rig::simulated::{
     capture_from_replay, capture_in_process, in_process_connection, model_options,
@@ -479,6 +480,35 @@ fn poses_become_axis_angles_and_back_over_the_hemisphere() {
                 }
                 assert!((angles.get(AxisName::Turntable) - 90.0).abs() < 1e-9);
             }
+        }
+    }
+}
+
+#[test]
+fn the_pole_and_the_horizon_come_back_as_they_went() {
+    let text = rig("five_axis_grblhal").text;
+    let text = text.replace("max_deg = 85.0", "max_deg = 89.9");
+    let rig = RigDescription::from_toml(&text).unwrap();
+    for theta in [0.0, 1e-9, 1e-5, 89.9] {
+        for phi in [-10.0, 0.0, 280.0, 359.999_999, 360.0, -360.0, 719.0, 315.0] {
+            let mut c = plan16().configurations[0];
+            c.light = PolarDirection::from_degrees(theta, phi);
+            // Between 280 and 350 degrees the light's azimuth cannot stand; at the pole it need not.
+            let blocked = theta > 1e-6 && phi == 315.0;
+            let angles = match rig.angles(&c) {
+                Ok(angles) => angles,
+                Err(error) => {
+                    assert!(blocked, "{theta} {phi}: {}", error.report());
+                    continue;
+                }
+            };
+            assert!(!blocked, "{theta} {phi}");
+            rig.check_angles(&angles).unwrap();
+            let back = angles.configuration(1).light.vector();
+            assert!(
+                (back - c.light.vector()).length() < 1e-9,
+                "{theta} {phi}: {angles:?}"
+            );
         }
     }
 }

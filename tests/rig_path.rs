@@ -334,37 +334,28 @@ fn every_way_on_random_rigs_is_inside_the_limits_clear_and_free_of_play() {
 // ---- by name -------------------------------------------------------------------------------------------------------
 
 #[test]
-fn the_camera_gives_way_to_the_arm_of_the_light() {
+fn a_detour_is_found_where_the_straight_line_collides() {
     let rig = rig("five_axis_grblhal");
+    // The light's arm stands upright at azimuth 350; the low camera would sweep through it.
     let (from, to) = (
-        AxisAngles([80.0, 0.0, 45.0, 230.0, 0.0]),
-        AxisAngles([80.0, 0.0, 45.0, 280.0, 0.0]),
+        AxisAngles([80.0, 40.0, 0.0, 260.0, 0.0]),
+        AxisAngles([80.0, -60.0, 0.0, 260.0, 0.0]),
     );
     let straight = rig.check_leg_clearance(&from, &to).unwrap_err().report();
     assert!(
-        straight.contains("'camera' and 'light arm' are -3.47 mm apart"),
+        straight.contains("'camera") && straight.contains("'light arm'"),
         "{straight}"
     );
     let legs = rig.path(&from, &to).unwrap();
-    assert!(legs.len() > 1 && legs.len() < 5, "{legs:?}");
+    assert!(legs.len() > 1 && legs.len() < 8, "{legs:?}");
     assert_eq!(legs.last().unwrap().to, to);
-    let lowest = legs.iter().map(|l| l.to.0[0]).fold(80.0, f64::min);
-    assert!(lowest < 70.0, "{legs:?}");
-    let found = fault(
-        &rig,
-        &from,
-        &to,
-        &legs,
-        2000,
-        &mut Random::keyed(&[seed(), 82]),
-    );
-    assert_eq!(found, None);
+    let mut random = Random::keyed(&[seed(), 82]);
+    assert_eq!(fault(&rig, &from, &to, &legs, 2000, &mut random), None);
+    assert!(fault(&rig, &from, &to, &[Leg { to }], 2000, &mut random).is_some());
     // The way costs more than the straight line would, and says so.
     let [seconds, line] = [&legs, &vec![Leg { to }]].map(|l| rig.legs_seconds(&from, l, None));
-    assert!(
-        seconds > line && rig.path_seconds(&from, &to).unwrap() == seconds,
-        "{seconds} {line}"
-    );
+    assert!(seconds > line, "{seconds} {line}");
+    assert_eq!(rig.path_seconds(&from, &to).unwrap(), seconds);
     assert_eq!(rig.settle_ms_of(&from, &to).unwrap(), 300.0);
 }
 

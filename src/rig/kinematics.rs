@@ -3,7 +3,7 @@
 //! Elevation axes carry the polar angle from the sample normal, azimuth axes the azimuth, the turntable the rotation
 //! (docs/conventions.md). A direction (theta, phi) is also (-theta, phi + 180 degrees): an elevation axis that goes
 //! through the normal may use that. Because limits are per axis, a straight move between two allowed poses stays inside
-//! them. Does not look after collisions between arms, and never turns the whole scene to reach a pose.
+//! them. Collisions between arms are the business of `path`. Never turns the whole scene to reach a pose.
 
 use super::description::{Axis, AxisName, RigDescription};
 use crate::base::{Error, Result};

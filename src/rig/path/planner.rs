@@ -126,13 +126,7 @@ impl Way<'_> {
         };
         // Right after homing axes may stand outside their limits: inside first.
         let inside = self.inside(from);
-        if inside != *from
-            && self.stands(&inside)
-            && self
-                .checker
-                .sweep(from, &inside, &floors, MOST_LOOKS)
-                .is_none()
-        {
+        if inside != *from && self.stands(&inside) && self.is_free(from, &inside, MOST_LOOKS) {
             let mut poses = self.clear(&inside, to)?;
             poses.insert(0, *from);
             return Ok(poses);
