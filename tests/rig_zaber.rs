@@ -770,6 +770,15 @@ struct Room {
 }
 
 fn captured(faults: Vec<ZaberFault>, out: &Path) -> (Room, Result<capture::Summary>, Vec<bool>) {
+    captured_watching(faults, out, None)
+}
+
+/// A capture; with `urgent_at` the operator asks to stop at once at that time.
+fn captured_watching(
+    faults: Vec<ZaberFault>,
+    out: &Path,
+    urgent_at: Option<f64>,
+) -> (Room, Result<capture::Summary>, Vec<bool>) {
     let rig = rig();
     let mut options = zaber_options(&rig, &rig.boards[0]);
     options.faults = faults;
@@ -783,6 +792,8 @@ fn captured(faults: Vec<ZaberFault>, out: &Path) -> (Room, Result<capture::Summa
         ("lamp".into(), lamp.clone()),
     ];
     let (clock, connection) = connection_to(devices);
+    let asked = urgent_at.unwrap_or(f64::INFINITY);
+    let watch = UrgentAt(clock.clone(), AtomicU64::new(asked.to_bits()));
     let mut camera = TextCamera {
         lamp: Some(lamp.clone()),
         lit: Vec::new(),
@@ -795,7 +806,7 @@ fn captured(faults: Vec<ZaberFault>, out: &Path) -> (Room, Result<capture::Summa
         out,
         &CaptureOptions::of(&rig),
         &mut |_| Ok(()),
-        &Unwatched,
+        &watch,
     );
     let room = Room {
         arms,
@@ -869,6 +880,36 @@ fn a_lost_or_late_reply_in_a_capture_costs_nothing() {
         let (_, result, _) = captured(vec![fault], &folder.path().join("s"));
         assert!(result.unwrap().finished, "{kind:?}");
     }
+}
+
+#[test]
+fn a_stop_at_once_at_any_time_of_a_capture_ends_dark_and_still_within_seconds() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut stopped, mut moving) = (0, 0);
+    for i in 0..40 {
+        // All devices are connected after 0.8 s.
+        let asked = 1.1 + 5.7 * f64::from(i);
+        let out = folder.path().join(i.to_string());
+        let (room, result, _) = captured_watching(vec![], &out, Some(asked));
+        let Err(error) = result else { continue };
+        stopped += 1;
+        let report = error.report();
+        assert!(report.contains("stopped at once"), "{asked}: {report}");
+        moving += u32::from(report.contains("stopped, position"));
+        assert!(
+            room.clock.now() - asked < 4.0,
+            "{asked}: {}",
+            room.clock.now()
+        );
+        assert!(!room.lamp.lock().unwrap().is_on(), "{asked}");
+        for model in [&room.arms, &room.table] {
+            let mut model = model.lock().unwrap();
+            model.take_output(room.clock.now());
+            assert!(!model.is_moving(), "{asked}: {report}");
+        }
+    }
+    // The capture takes 229 s; most of it warming up and moving.
+    assert!(stopped >= 38 && moving >= 15, "{stopped} {moving}");
 }
 
 #[test]
