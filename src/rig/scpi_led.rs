@@ -299,7 +299,8 @@ impl Light for ScpiLed<'_> {
         self.set(&format!("SOUR{n}:CCUR:CURR {power:.6}"))?;
         let found = self.number(&format!("SOUR{n}:CCUR:CURR?"))?;
         // Devices round to their own steps.
-        if !((found - power).abs() <= 1e-3 + 5e-3 * power) {
+        let off = (found - power).abs();
+        if off > 1e-3 + 5e-3 * power {
             return Err(self.error(
                 format!("the current is {found} A after it was set to {power} A"),
                 "is another program or a knob changing it?",

@@ -202,8 +202,13 @@ impl ByteModel for ScpiModel {
     fn take_output(&mut self, now: f64) -> Vec<u8> {
         self.now = self.now.max(now);
         let mut bytes = Vec::new();
-        while let Some((_, piece)) = self.output.pop_front_if(|(t, _)| *t <= now) {
-            bytes.extend(piece);
+        while self.output.front().is_some_and(|(t, _)| *t <= now) {
+            bytes.extend(
+                self.output
+                    .pop_front()
+                    .into_iter()
+                    .flat_map(|(_, piece)| piece),
+            );
         }
         bytes
     }

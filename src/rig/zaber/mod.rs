@@ -10,6 +10,7 @@
 //! reconnect, or look after collisions. A controller obeys commands without a checksum: damage that cuts one off in the
 //! right place may move an axis elsewhere, which the watch over its way and the position read back then find.
 
+mod device;
 mod fault;
 mod flags;
 mod frame;

@@ -4,9 +4,7 @@ use super::fault::Fault;
 use super::flags::{self, Effect};
 use super::link::Obey;
 use super::{SPEED_SCALE, TRIES, Zaber};
-use crate::base::Result;
-use crate::rig::description::Homing;
-use crate::rig::devices::{AxisLimits, Light, Motion, Target, Travel};
+use crate::rig::devices::{Target, Travel};
 
 /// Seconds between two looks at a moving axis.
 const POLL: f64 = 0.05;
@@ -39,7 +37,7 @@ impl Zaber<'_> {
 
     // -- homing -----------------------------------------------------------------------------------------------------
 
-    fn home_all(&mut self) -> Result<(), Fault> {
+    pub(super) fn home_all(&mut self) -> Result<(), Fault> {
         for axis in 1..=self.axes.len() as u8 {
             if self.axes[usize::from(axis) - 1].is_some() {
                 self.home_axis(axis)?;
@@ -88,7 +86,7 @@ impl Zaber<'_> {
 
     // -- moving -----------------------------------------------------------------------------------------------------
 
-    fn start(&mut self, targets: &[Target]) -> Result<(), Fault> {
+    pub(super) fn start(&mut self, targets: &[Target]) -> Result<(), Fault> {
         let mut lines = Vec::new();
         for target in targets {
             lines.push(self.move_line(target)?);
@@ -187,7 +185,7 @@ impl Zaber<'_> {
         Ok(())
     }
 
-    fn finish(&mut self, targets: &[Target], timeout: f64) -> Result<Vec<f64>, Fault> {
+    pub(super) fn finish(&mut self, targets: &[Target], timeout: f64) -> Result<Vec<f64>, Fault> {
         let deadline = self.link.clock.now() + timeout;
         let (mut still, mut short_since) = (0, None);
         loop {
@@ -258,7 +256,7 @@ impl Zaber<'_> {
             .collect()
     }
 
-    fn verified(&mut self, targets: &[Target]) -> Result<Vec<f64>, Fault> {
+    pub(super) fn verified(&mut self, targets: &[Target]) -> Result<Vec<f64>, Fault> {
         let (busy, positions) = self.look("a look at its position", false)?;
         if busy {
             return Err(Fault::unexpected(
@@ -317,139 +315,5 @@ impl Zaber<'_> {
         self.link.ask(0, "warnings clear", STOP_TRIES)?;
         self.link.clear_alert();
         Ok(stopped)
-    }
-}
-
-impl Motion for Zaber<'_> {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn firmware(&self) -> String {
-        self.firmware.clone()
-    }
-
-    fn dump(&self) -> Vec<String> {
-        let retries = self.link.retries.iter().cloned();
-        self.dump.iter().cloned().chain(retries).collect()
-    }
-
-    fn check(&self, homing: Homing) -> Result<()> {
-        if homing == Homing::Cycle {
-            return Ok(());
-        }
-        Err(self.error(
-            "a Zaber controller homes itself, its zero marks cannot be taken on trust",
-            "set homing = \"cycle\" in the rig file",
-        ))
-    }
-
-    fn axis_limits(&self, letter: char) -> Result<AxisLimits> {
-        let (_, facts) = self.axis(letter).map_err(|f| f.told(&self.name))?;
-        Ok(facts.limits)
-    }
-
-    fn moves_in_line(&self) -> bool {
-        false
-    }
-
-    fn is_homed(&self) -> bool {
-        self.homed
-    }
-
-    fn home(&mut self) -> Result<()> {
-        self.homed = false;
-        self.moving = true;
-        self.homing = true;
-        let result = self.home_all();
-        self.checked(result)?;
-        self.moving = false;
-        self.homing = false;
-        self.homed = true;
-        Ok(())
-    }
-
-    fn trust_position(&mut self) -> Result<()> {
-        Err(self.error(
-            "its position cannot be taken on trust",
-            "home it: set homing = \"cycle\" in the rig file",
-        ))
-    }
-
-    fn state(&mut self) -> Result<String> {
-        let result = self.link.ask(0, "get pos", TRIES);
-        let reply = self.checked(result)?;
-        let state = if reply.busy { "BUSY" } else { "IDLE" };
-        Ok(match reply.flag {
-            Some(flag) => format!("{state} {flag} ({})", flags::meaning(&flag).1),
-            None => state.to_owned(),
-        })
-    }
-
-    fn positions(&mut self, letters: &[char]) -> Result<Vec<f64>> {
-        let result = (|| {
-            let reply = self.link.accepted(0, "get pos", TRIES)?;
-            let all = self.listed("pos", &reply.data)?;
-            let of = |letter: &char| Ok(all[self.axis(*letter)?.0].map_or(0.0, |p| p as f64));
-            letters.iter().map(of).collect()
-        })();
-        self.checked(result)
-    }
-
-    fn start_move(&mut self, targets: &[Target]) -> Result<()> {
-        if !self.homed {
-            return Err(self.error("its position is not known", "home the rig before moving it"));
-        }
-        let result = self.start(targets);
-        self.checked(result)
-    }
-
-    fn finish_move(&mut self, targets: &[Target], timeout: f64) -> Result<Vec<f64>> {
-        let result = self.finish(targets, timeout);
-        let positions = self.checked(result)?;
-        self.moving = false;
-        Ok(positions)
-    }
-
-    fn verify_at(&mut self, targets: &[Target]) -> Result<Vec<f64>> {
-        let result = self.verified(targets);
-        self.checked(result)
-    }
-
-    fn may_be_moving(&self) -> bool {
-        self.moving
-    }
-
-    fn may_be_homing(&self) -> bool {
-        self.homing
-    }
-
-    fn brake(&mut self) {
-        if !self.lost {
-            self.faulted = true;
-            // A board that cannot be reached tells it in the stop that follows.
-            let _ = self.link.send(0, "stop");
-        }
-    }
-
-    fn make_safe(&mut self, at_once: bool) -> Result<String> {
-        if self.lost {
-            return Err(self.error("it is disconnected", "check by eye that nothing moves"));
-        }
-        if !(self.moving || self.faulted) {
-            return Ok(format!("board '{}': at rest", self.name));
-        }
-        let result = self.stop_and_wait(if at_once { "estop" } else { "stop" });
-        self.checked(result)?;
-        let position = if self.homed {
-            "position kept"
-        } else {
-            "position unknown, home before moving"
-        };
-        Ok(format!("board '{}': stopped, {position}", self.name))
-    }
-
-    fn lamp(&mut self) -> Option<&mut dyn Light> {
-        None
     }
 }
