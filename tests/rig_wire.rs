@@ -5,8 +5,8 @@
 
 use goniofit::base::Unwatched;
 use goniofit::rig::{
-    Flavor, Grbl, GrblModel, Light, ModelOptions, Motion, Replay, Way, WireEntry, parse_wire_log,
-    show_bytes,
+    Flavor, Grbl, GrblModel, Homing, Light, ModelOptions, Motion, Replay, Way, WireEntry,
+    parse_wire_log, show_bytes,
 };
 use std::path::PathBuf;
 
@@ -95,6 +95,26 @@ fn an_ok_after_failed_homing_is_no_success() {
     );
     assert!(!grbl.is_homed());
     assert!(!grbl.controlled_stop().unwrap().position_kept);
+    replay.finish().unwrap();
+}
+
+#[test]
+fn homing_that_finds_no_switch_is_told_and_no_ok_is_needed_for_it() {
+    let (replay, mut grbl) = connected("grblhal_no_switch");
+    Motion::check(&grbl, Homing::Cycle).unwrap();
+    assert_eq!(grbl.state().unwrap(), "Idle");
+    let error = grbl.home().unwrap_err().report();
+    assert!(
+        error.contains("ALARM:9") && error.contains("found no limit switch"),
+        "{error}"
+    );
+    let done = grbl.make_safe(false).unwrap();
+    assert!(done.contains("home before moving"), "{done}");
+    assert_eq!(grbl.state().unwrap(), "Alarm");
+    grbl.trust_position().unwrap();
+    // The full report says H:0, which is no news for a position taken on the operator's word.
+    grbl.verify_at(&[]).unwrap();
+    assert!(grbl.take_notes().is_empty());
     replay.finish().unwrap();
 }
 

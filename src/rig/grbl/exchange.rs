@@ -188,19 +188,19 @@ impl Link<'_> {
                 self.send(b"?")?;
                 next_poll = self.clock.now() + POLL;
             }
-            match self.next_reply(deadline.min(next_poll))? {
-                None => {}
+            let acknowledged = match self.next_reply(deadline.min(next_poll))? {
+                None => false,
                 Some(Reply::Status(status)) => {
                     self.heard_well();
                     last_report = self.clock.now();
                     self.on_way(&status, route, &during)?;
                     idle_since = status.is("Idle").then(|| idle_since.unwrap_or(last_report));
+                    false
                 }
-                Some(other) => {
-                    if self.is_acknowledged(other, &during)? {
-                        return Ok(());
-                    }
-                }
+                Some(other) => self.is_acknowledged(other, &during)?,
+            };
+            if acknowledged {
+                return Ok(());
             }
         }
     }

@@ -107,7 +107,7 @@ impl Grbl<'_> {
             ));
         }
         for (i, (before, p)) in rest.iter().zip(now).enumerate() {
-            if !((p - before).abs() <= self.grain(i)) {
+            if !(0.0..=self.grain(i)).contains(&(p - before).abs()) {
                 return Err(Fault::unexpected(
                     format!(
                         "axis {} stands at {p:.4} though it was left at {before:.4} and nothing was sent",

@@ -120,7 +120,7 @@ mod tests {
         for line in [
             &b"Gr\xffl 1.1h ['$' for h\x00lp]"[..],
             b"AL\xfeRM:1",
-            b"bl 1.1h",
+            b"rbl 1.1h",
         ] {
             assert!(may_hide_a_stop(line), "{line:?}");
         }

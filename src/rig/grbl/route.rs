@@ -73,7 +73,7 @@ impl Route {
         self.furthest = nearest;
         for (i, p) in position.iter().enumerate() {
             let line = self.from[i] + nearest * (self.to[i] - self.from[i]);
-            if !((p - line).abs() <= self.room[i]) {
+            if !(0.0..=self.room[i]).contains(&(p - line).abs()) {
                 return Err(Fault::unexpected(
                     format!(
                         "axis {} stands at {p:.4}, off its way from {:.4} to {:.4}",
