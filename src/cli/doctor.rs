@@ -103,7 +103,12 @@ impl Findings {
     fn fail(&mut self, error: &crate::base::Error) {
         let report = error.report();
         let (what, hints) = report.split_once("\nhint: ").unwrap_or((&report, ""));
-        self.add(Level::Fail, what, hints.replace("\nhint: ", "; "));
+        let todo = if hints.is_empty() {
+            "docs/rig.md explains every key of the rig file".to_owned()
+        } else {
+            hints.replace("\nhint: ", "; ")
+        };
+        self.add(Level::Fail, what, todo);
     }
 }
 

@@ -25,10 +25,10 @@ pub struct Stopped {
 
 /// Stops motion on every board and switches the lamp off. Every board is told to brake before any is waited for; the
 /// position stays known to the controller where that is possible.
-pub fn stop_all<'a>(
+pub fn stop_all(
     description: &RigDescription,
     connection: &mut Connection,
-    watch: &'a dyn Watch,
+    watch: &dyn Watch,
 ) -> Vec<Stopped> {
     let clock = connection.clock.clone();
     let mut opened = Vec::new();

@@ -28,8 +28,8 @@ pub(super) fn look(rig: Option<&RigDescription>, may_open: bool) -> Vec<Finding>
     }
     match rig {
         Some(rig) => {
-            for (device, path, protocol) in named(rig) {
-                of_rig(&device, &path, protocol, &found, may_open, &mut findings);
+            for device in named(rig) {
+                of_rig(&device, &found, may_open, &mut findings);
             }
         }
         None if may_open => {
@@ -59,29 +59,34 @@ fn describe(port: &SerialPortInfo, findings: &mut Findings) {
     }
 }
 
-/// Every device of the rig file with its port and, for boards, its protocol and speed.
-fn named(rig: &RigDescription) -> Vec<(String, String, Option<(Protocol, u32)>)> {
-    let boards = rig.boards.iter();
-    let mut all: Vec<_> = boards
-        .map(|b| {
-            let name = format!("board '{}'", b.name);
-            (name, b.port.clone(), Some((b.protocol, b.baud)))
-        })
-        .collect();
+/// A device of the rig file.
+struct Device<'a> {
+    name: String,
+    path: &'a str,
+    /// Of a board: protocol and speed.
+    speaks: Option<(Protocol, u32)>,
+}
+
+fn named(rig: &RigDescription) -> Vec<Device<'_>> {
+    let boards = rig.boards.iter().map(|b| Device {
+        name: format!("board '{}'", b.name),
+        path: &b.port,
+        speaks: Some((b.protocol, b.baud)),
+    });
+    let mut all: Vec<_> = boards.collect();
     if let LampOutput::Scpi { port, .. } = &rig.lamp.output {
-        all.push(("lamp".to_owned(), port.path.clone(), None));
+        all.push(Device {
+            name: "lamp".to_owned(),
+            path: &port.path,
+            speaks: None,
+        });
     }
     all
 }
 
-fn of_rig(
-    device: &str,
-    path: &str,
-    protocol: Option<(Protocol, u32)>,
-    found: &[SerialPortInfo],
-    may_open: bool,
-    findings: &mut Findings,
-) {
+fn of_rig(device: &Device<'_>, found: &[SerialPortInfo], may_open: bool, findings: &mut Findings) {
+    let (path, speaks) = (device.path, device.speaks);
+    let device = &device.name;
     if !Path::new(path).exists() {
         let names: Vec<&str> = found.iter().map(|p| p.path.as_str()).collect();
         let todo = if names.is_empty() {
@@ -110,7 +115,7 @@ fn of_rig(
         ),
         None => findings.ok(format!("{device}: {path} is there and may be opened")),
     }
-    if let (true, Some((protocol, baud))) = (may_open, protocol) {
+    if let (true, Some((protocol, baud))) = (may_open, speaks) {
         match probe(path, baud, protocol, &Unwatched) {
             Ok(firmware) => findings.ok(format!("{device}: {firmware} answers")),
             Err(error) => findings.fail(&error),

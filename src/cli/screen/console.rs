@@ -58,8 +58,9 @@ impl Keyboard {
         }
     }
 
-    /// Puts the terminal back as it was.
+    /// Puts the terminal back as it was. Keys nobody read are not for the shell.
     pub(super) fn restore(&self) {
+        let _ = tcflush(&self.terminal, QueueSelector::IFlush);
         let _ = tcsetattr(&self.terminal, OptionalActions::Now, &self.before);
     }
 }
