@@ -7,7 +7,7 @@ use crate::base::{Error, Result, Watch};
 use crate::rig::capture::{self, CaptureOptions, PlannedShot, Summary};
 use crate::rig::simulated::capture_from_replay;
 use crate::rig::{
-    AxisName, Camera, Connection, ReplayCamera, RigDescription, SerialTransport, SystemClock,
+    AxisName, Camera, CameraWiring, Connection, RigDescription, SerialTransport, SystemClock,
     Transport, read_wire_log,
 };
 use crate::session::{FrameKind, Plan, SessionFolder};
@@ -21,8 +21,8 @@ use std::sync::Arc;
 /// configuration and darks, and parks. Each frame is on disk before the next is taken. Ctrl-C stops after the current
 /// shot; any fault stops motion and switches the lamp off.
 ///
-/// Cameras so far: the frames of a recorded session (replay:SESSION), and with the `uvc` feature a webcam for preview
-/// and alignment, which is not radiometric. Tethered RAW cameras are not driven yet.
+/// Cameras: gphoto2 (tethered RAW), folder:PATH (any tethering program), replay:SESSION (recorded frames); with the
+/// `aravis` feature GenICam cameras; with the `uvc` feature a webcam for preview and alignment, not radiometric.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   goniofit capture --rig rig_configs/five_axis_grblhal.toml --plan rig_configs/plans/khungurn16.toml --dry-run
@@ -47,7 +47,7 @@ pub(crate) struct Arguments {
     /// Port of a board instead of the rig file's: PATH, or BOARD=PATH for each board
     #[arg(long, value_name = "[BOARD=]PATH")]
     port: Vec<String>,
-    /// replay:SESSION or uvc
+    /// gphoto2[:PORT], folder:PATH, aravis[:ID], uvc[:N] or replay:SESSION
     #[arg(long, required_unless_present = "dry_run")]
     camera: Option<String>,
     /// Play this recorded dialogue instead of opening ports
@@ -89,8 +89,17 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
     let (Some(out), Some(camera_name)) = (&arguments.out, &arguments.camera) else {
         return Err(Error::new("--out and --camera are needed"));
     };
-    let mut camera = open_camera(camera_name, &rig, &mut options)?;
     let terminal = Terminal::for_hardware()?;
+    let wiring = CameraWiring {
+        clock: Arc::new(SystemClock::new()),
+        watch: &terminal,
+        whole: &|bytes| crate::measure::decode(bytes).map(drop),
+        say: &|text| terminal.say(text),
+    };
+    let mut camera = open_camera(camera_name, &rig, &mut options, wiring)?;
+    if let Some(warning) = camera.warning() {
+        terminal.say(format!("warning: {warning}"));
+    }
     let summary = if let Some(wire) = &arguments.replay {
         let entries = read_wire_log(wire)?;
         terminal.say("replaying a recorded dialogue; nothing moves");
@@ -170,48 +179,31 @@ fn serial_connection() -> Connection<'static> {
     }
 }
 
-fn open_camera(
+/// Opens the camera; of a recorded session the exposures must be the rig's.
+fn open_camera<'a>(
     name: &str,
     rig: &RigDescription,
     options: &mut CaptureOptions,
-) -> Result<Box<dyn Camera>> {
+    wiring: CameraWiring<'a>,
+) -> Result<Box<dyn Camera + 'a>> {
     if let Some(folder) = name.strip_prefix("replay:") {
-        let camera = ReplayCamera::open(Path::new(folder))?;
-        let recorded = SessionFolder::open(Path::new(folder))?
-            .manifest()?
-            .exposures_ms;
-        if recorded != options.exposures_ms {
+        let recorded = SessionFolder::open(Path::new(folder))?.manifest()?;
+        if recorded.exposures_ms != options.exposures_ms {
             return Err(Error::new(format!(
-                "{folder} was recorded at exposures {recorded:?} ms, the rig takes {:?} ms",
-                options.exposures_ms
+                "{folder} was recorded at exposures {:?} ms, the rig takes {:?} ms",
+                recorded.exposures_ms, options.exposures_ms
             ))
             .with_hint(format!(
                 "use the rig of the recording: --rig {folder}/rig.toml"
             )));
         }
-        options.synthetic = camera.is_synthetic();
-        return Ok(Box::new(camera));
+        options.synthetic = recorded.synthetic;
     }
-    if name == "uvc" {
-        return open_uvc(rig, options);
+    let camera = crate::rig::open_camera(name, rig, wiring)?;
+    if let Some(warning) = camera.warning() {
+        options.note.push_str(&format!(" [{warning}]"));
     }
-    Err(Error::new(format!("unknown camera '{name}'"))
-        .with_hint("cameras are replay:SESSION and uvc; tethered RAW cameras are not driven yet"))
-}
-
-#[cfg(feature = "uvc")]
-fn open_uvc(rig: &RigDescription, options: &mut CaptureOptions) -> Result<Box<dyn Camera>> {
-    options
-        .note
-        .push_str(" [UVC preview frames: 8 bits, automatic exposure, not radiometric]");
-    let camera = crate::rig::UvcCamera::open(0, rig.camera.pixel_mm)?;
-    Ok(Box::new(camera))
-}
-
-#[cfg(not(feature = "uvc"))]
-fn open_uvc(_rig: &RigDescription, _options: &mut CaptureOptions) -> Result<Box<dyn Camera>> {
-    Err(Error::new("this program was built without UVC cameras")
-        .with_hint("install libclang-dev and build with `cargo build --release --features uvc`"))
+    Ok(camera)
 }
 
 /// Asks the operator; Enter or y goes on.

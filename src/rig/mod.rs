@@ -8,6 +8,7 @@
 //! ```
 
 mod board_check;
+mod cameras;
 pub mod capture;
 mod description;
 mod devices;
@@ -19,7 +20,6 @@ mod model;
 mod operator;
 mod path;
 mod replay;
-mod replay_camera;
 mod rig_file;
 mod serial;
 mod shots;
@@ -27,10 +27,13 @@ pub mod simulated;
 mod simulator;
 mod transport;
 mod utc;
-#[cfg(feature = "uvc")]
-mod uvc;
 mod wire_log;
 
+#[cfg(feature = "aravis")]
+pub use cameras::AravisCamera;
+#[cfg(feature = "uvc")]
+pub use cameras::UvcCamera;
+pub use cameras::{CameraWiring, FolderCamera, Gphoto2Camera, ReplayCamera, open_camera};
 pub use description::{
     Axis, AxisName, Board, CameraDescription, Homing, Lamp, LampOutput, LightSource, Metering,
     MotorAxis, Port, Protocol, RigDescription, White,
@@ -45,12 +48,9 @@ pub use model::{Fault, FaultKind, Flavor, GrblModel, ModelOptions};
 pub use operator::{Absent, Operator, Request, Seen, Taken};
 pub use path::Leg;
 pub use replay::{Replay, ReplayTransport};
-pub use replay_camera::ReplayCamera;
 pub use serial::SerialTransport;
 pub use simulator::{ModelTransport, PtySimulator, SharedModel};
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
-#[cfg(feature = "uvc")]
-pub use uvc::UvcCamera;
 pub use wire_log::{
     RecordingTransport, Way, WireEntry, WireLog, parse_wire_log, read_wire_log, show_bytes,
 };
