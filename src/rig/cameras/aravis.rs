@@ -12,7 +12,7 @@ use crate::base::{Context, Error, Result};
 use crate::rig::{Camera, CapturedFrame, RigDescription, Shot};
 use crate::session::CameraFacts;
 use aravis::prelude::*;
-use aravis::{AcquisitionMode, Buffer, BufferStatus};
+use aravis::{AcquisitionMode, Buffer, BufferStatus, GvStreamOption};
 
 /// How far the exposure read back may be off the one asked for.
 const NEAR: f64 = 0.15;
@@ -212,6 +212,10 @@ fn attach(id: Option<&str>) -> Result<Attached, Fault> {
             "`arv-tool-0.8` lists the cameras there are; a GigE one must be in this computer's subnet",
         )
     })?;
+    if camera.is_gv_device() {
+        // Raw sockets, which the library prefers where it may, miss what comes over a loopback interface.
+        camera.gv_set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
+    }
     for (feature, value) in AUTOMATICS {
         if camera.is_feature_available(feature).unwrap_or(false) {
             camera.set_string(feature, value).map_err(lost)?;
