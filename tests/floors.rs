@@ -32,6 +32,7 @@ const ROOMS: &[(&str, &[&str])] = &[
 const CRATES: &[(&str, &[&str])] = &[
     ("serialport", &["rig"]),
     ("nokhwa", &["rig"]),
+    ("aravis", &["rig"]),
     ("rawloader", &["measure"]),
     ("exif", &["measure"]),
     ("obvhs", &["render"]),

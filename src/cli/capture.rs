@@ -3,8 +3,9 @@
 use super::Outcome;
 use super::judge::CropJudge;
 use super::output::data;
-use super::terminal::Terminal;
-use crate::base::{Error, Result, Watch};
+use super::ports::{override_ports, serial_connection};
+use super::screen::{Screen, Setup};
+use crate::base::{Error, Result};
 use crate::measure::FrameJudge;
 use crate::rig::capture::{
     Capture, CaptureOptions, CapturePlan, End, Order, Summary, plan_capture,
@@ -12,11 +13,10 @@ use crate::rig::capture::{
 use crate::rig::exposures::Verdict;
 use crate::rig::simulated::capture_from_replay;
 use crate::rig::{
-    AxisName, Camera, Connection, Judge, LampOutput, Operator, Outlook, PlannedShot, ReplayCamera,
-    Request, RigDescription, Seen, SerialTransport, SystemClock, Transport, read_wire_log,
+    self, AxisName, Camera, CameraWiring, EmergencyLine, Judge, Outlook, PlannedShot,
+    RigDescription, SystemClock, read_wire_log,
 };
 use crate::session::{Plan, SessionFolder, sha256};
-use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -27,6 +27,9 @@ use std::sync::Arc;
 /// and shot again at another exposure when it is clipped or too dark. Ctrl-C pauses after the current shot, twice stops the
 /// rig; any fault stops motion and switches the lamp off. An interrupted capture, whatever interrupted it, goes on with
 /// --resume.
+///
+/// Cameras: gphoto2 (tethered RAW), folder:PATH (any tethering program), replay:SESSION (recorded frames); with the
+/// `aravis` feature GenICam cameras; with the `uvc` feature a webcam for preview and alignment, not radiometric.
 ///
 /// Exit codes: 0 all shots are on disk; 1 paused (resumable), or finished with badly exposed configurations; 2 error; 3
 /// aborted by the operator; 4 halted by the operator.
@@ -61,7 +64,7 @@ pub(crate) struct Arguments {
     /// Port of a device instead of the rig file's: PATH, or BOARD=PATH (or lamp=PATH) for each
     #[arg(long, value_name = "[BOARD=]PATH")]
     port: Vec<String>,
-    /// gphoto2, folder:PATH, aravis, uvc, or replay:SESSION
+    /// gphoto2[:PORT], folder:PATH, aravis[:ID], uvc[:N] or replay:SESSION
     #[arg(long, required_unless_present = "dry_run")]
     camera: Option<String>,
     /// Play this recorded dialogue instead of opening ports
@@ -111,55 +114,85 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
         print_plan(&rig, &plan, &work, &outlook, arguments.json);
         return Ok(Outcome::Done);
     }
-    let camera_name = arguments
-        .camera
-        .as_ref()
-        .ok_or_else(|| Error::new("--camera is needed"))?;
-    let mut options = CaptureOptions {
+    let options = CaptureOptions {
         note: arguments.note.clone(),
         program_sha256: own_sha256(),
         host: host_name(),
         order,
         ..CaptureOptions::default()
     };
-    let mut camera = open_camera(camera_name, &rig, &mut options)?;
-    let judge = CropJudge(FrameJudge::new(camera.facts(), rig.camera.sample_square_mm));
-    let judge = (!arguments.blind).then(|| Box::new(judge) as Box<dyn Judge>);
-    let terminal = Terminal::for_hardware()?;
-    let person = Person {
-        terminal: &terminal,
+    let folder = arguments.resume.as_ref().or(arguments.out.as_ref());
+    let folder = folder.ok_or_else(|| Error::new("--out is needed"))?;
+    super::measure::quiet_decoder_panics();
+    let screen = Screen::new(&Setup {
+        rig: &rig,
+        plan: &plan,
+        session: folder,
         yes: arguments.yes || arguments.replay.is_some(),
-    };
-    let summary = if let (Some(wire), Some(out)) = (&arguments.replay, &arguments.out) {
-        terminal.say("replaying a recorded dialogue; nothing moves");
-        let entries = read_wire_log(wire)?;
-        let camera = camera.as_mut();
-        capture_from_replay(&rig, &plan, entries, camera, judge, out, &options, &person)
-    } else {
-        let capture = Capture {
-            description: &rig,
-            plan: &plan,
-            connection: serial_connection(),
-            camera: camera.as_mut(),
-            judge,
-            operator: &person,
-            options,
-        };
-        match (&arguments.resume, &arguments.out) {
-            (Some(folder), _) => capture.resume(folder),
-            (None, Some(out)) => capture.start(out),
-            (None, None) => Err(Error::new("--out is needed")),
-        }
-    };
-    terminal.finish_stage();
+    })?;
+    let summary = capture(&arguments, &rig, &plan, folder, &screen, options);
+    drop(screen);
     let summary = summary?;
-    print_summary(&terminal, &summary, arguments.json);
+    print_summary(&summary, arguments.json);
     Ok(match summary.end {
         End::Finished if summary.badly_exposed.is_empty() => Outcome::Done,
         End::Finished | End::Paused => Outcome::OutsideTolerance,
         End::Aborted => Outcome::Aborted,
         End::Halted => Outcome::Halted,
     })
+}
+
+fn capture(
+    arguments: &Arguments,
+    rig: &RigDescription,
+    plan: &Plan,
+    folder: &Path,
+    screen: &Screen,
+    mut options: CaptureOptions,
+) -> Result<Summary> {
+    let camera = arguments.camera.as_ref();
+    let camera = camera.ok_or_else(|| Error::new("--camera is needed"))?;
+    let wiring = CameraWiring {
+        clock: Arc::new(SystemClock::new()),
+        watch: screen,
+        whole: &|bytes| crate::measure::decode(bytes).map(drop),
+        say: &|text| screen.say(text),
+    };
+    let mut camera = open_camera(camera, rig, &mut options, wiring)?;
+    let warning = camera.warning();
+    if let Some(warning) = &warning {
+        screen.say(format!("warning: {warning}"));
+    }
+    // Frames that are not radiometric cannot be judged.
+    let blind = arguments.blind || warning.is_some();
+    let judge = CropJudge(FrameJudge::new(camera.facts(), rig.camera.sample_square_mm));
+    let judge = (!blind).then(|| Box::new(judge) as Box<dyn Judge>);
+    if let Some(wire) = &arguments.replay {
+        screen.say("replaying a recorded dialogue; nothing moves");
+        let entries = read_wire_log(wire)?;
+        let camera = camera.as_mut();
+        return capture_from_replay(rig, plan, entries, camera, judge, folder, &options, screen);
+    }
+    let line = EmergencyLine::new();
+    let stops = line.clone();
+    screen.on_stop(Box::new(move |_| {
+        // Whoever takes no bytes is told by the stop that follows in the loop.
+        let _ = stops.fire();
+    }));
+    let capture = Capture {
+        description: rig,
+        plan,
+        connection: serial_connection(rig, &line),
+        camera: camera.as_mut(),
+        judge,
+        operator: screen,
+        options,
+    };
+    if arguments.resume.is_some() {
+        capture.resume(folder)
+    } else {
+        capture.start(folder)
+    }
 }
 
 fn rig_and_plan(arguments: &Arguments) -> Result<(RigDescription, Plan)> {
@@ -188,180 +221,34 @@ fn host_name() -> String {
         .into_owned()
 }
 
-/// The operator at a terminal.
-struct Person<'a> {
-    terminal: &'a Terminal,
-    yes: bool,
-}
-
-impl Watch for Person<'_> {
-    fn progress(&self, stage: &str, done: u64, total: u64) {
-        self.terminal.progress(stage, done, total);
-    }
-    fn cancelled(&self) -> bool {
-        self.terminal.cancelled()
-    }
-    fn urgent(&self) -> bool {
-        self.terminal.urgent()
-    }
-}
-
-impl Operator for Person<'_> {
-    fn request(&self) -> Request {
-        if self.urgent() {
-            Request::Abort
-        } else if self.cancelled() {
-            Request::Pause
-        } else {
-            Request::Go
-        }
-    }
-    fn confirm(&self, question: &str) -> Result<()> {
-        ask(self.terminal, question, self.yes)
-    }
-    fn paused(&self) -> bool {
-        false
-    }
-    fn seen(&self, what: &Seen<'_>) {
-        match what {
-            Seen::Note(note) => self.terminal.say(note),
-            Seen::WarmingUp(seconds) => self
-                .terminal
-                .say(format!("the lamp warms up for {seconds:.0} s")),
-            _ => {}
-        }
-    }
-}
-
-fn override_ports(rig: &mut RigDescription, ports: &[String]) -> Result<()> {
-    for given in ports {
-        let names: Vec<String> = rig.boards.iter().map(|b| b.name.clone()).collect();
-        let (name, path) = match given.split_once('=') {
-            Some((name, path)) => (name, path),
-            None if names.len() == 1 => (names[0].as_str(), given.as_str()),
-            None => {
-                return Err(
-                    Error::new(format!("--port {given}: the rig has several boards")).with_hint(
-                        format!(
-                            "write --port BOARD={given}; the boards are {}",
-                            names.join(", ")
-                        ),
-                    ),
-                );
-            }
-        };
-        if let LampOutput::Scpi { port, .. } = &mut rig.lamp.output
-            && port.name == name
-        {
-            path.clone_into(&mut port.path);
-            continue;
-        }
-        let board = rig.boards.iter_mut().find(|b| b.name == name);
-        let board = board.ok_or_else(|| {
-            Error::new(format!("--port {given}: unknown board '{name}'"))
-                .with_hint(format!("the boards are {}", names.join(", ")))
-        })?;
-        path.clone_into(&mut board.port);
-    }
-    Ok(())
-}
-
-fn serial_connection() -> Connection<'static> {
-    Connection {
-        open: Box::new(|board| {
-            let port = SerialTransport::open(&board.path, board.baud, board.dtr)?;
-            Ok(Box::new(port) as Box<dyn Transport>)
-        }),
-        clock: Arc::new(SystemClock::new()),
-        wait_scale: 1.0,
-    }
-}
-
-fn open_camera(
+/// As [`rig::open_camera`]; a recorded session must fit what the rig takes.
+fn open_camera<'a>(
     name: &str,
     rig: &RigDescription,
     options: &mut CaptureOptions,
-) -> Result<Box<dyn Camera>> {
+    wiring: CameraWiring<'a>,
+) -> Result<Box<dyn Camera + 'a>> {
     if let Some(folder) = name.strip_prefix("replay:") {
-        let camera = ReplayCamera::open(Path::new(folder))?;
-        let recorded = SessionFolder::open(Path::new(folder))?
-            .manifest()?
-            .exposures_ms;
-        if recorded != rig.camera.exposures_ms {
+        let recorded = SessionFolder::open(Path::new(folder))?.manifest()?;
+        if recorded.exposures_ms != rig.camera.exposures_ms {
             return Err(Error::new(format!(
-                "{folder} was recorded at exposures {recorded:?} ms, the rig takes {:?} ms",
-                rig.camera.exposures_ms
+                "{folder} was recorded at exposures {:?} ms, the rig takes {:?} ms",
+                recorded.exposures_ms, rig.camera.exposures_ms
             ))
             .with_hint(format!(
                 "use the rig of the recording: --rig {folder}/rig.toml"
             )));
         }
-        options.synthetic = camera.is_synthetic();
-        return Ok(Box::new(camera));
+        options.synthetic = recorded.synthetic;
     }
-    if name == "uvc" {
-        return open_uvc(rig, options);
+    let camera = rig::open_camera(name, rig, wiring)?;
+    if let Some(warning) = camera.warning() {
+        options.note.push_str(&format!(" [{warning}]"));
     }
-    Err(Error::new(format!("unknown camera '{name}'"))
-        .with_hint("cameras are replay:SESSION and uvc; tethered RAW cameras are not driven yet"))
+    Ok(camera)
 }
 
-#[cfg(feature = "uvc")]
-fn open_uvc(rig: &RigDescription, options: &mut CaptureOptions) -> Result<Box<dyn Camera>> {
-    options
-        .note
-        .push_str(" [UVC preview frames: 8 bits, automatic exposure, not radiometric]");
-    let camera = crate::rig::UvcCamera::open(0, rig.camera.pixel_mm)?;
-    Ok(Box::new(camera))
-}
-
-#[cfg(not(feature = "uvc"))]
-fn open_uvc(_rig: &RigDescription, _options: &mut CaptureOptions) -> Result<Box<dyn Camera>> {
-    Err(Error::new("this program was built without UVC cameras")
-        .with_hint("install libclang-dev and build with `cargo build --release --features uvc`"))
-}
-
-/// Asks the operator; Enter or y goes on.
-fn ask(terminal: &Terminal, question: &str, yes: bool) -> Result<()> {
-    if yes {
-        terminal.say(format!("{question}: yes (--yes)"));
-        return Ok(());
-    }
-    if !std::io::stdin().is_terminal() {
-        return Err(Error::new(format!("nobody is there to answer: {question}"))
-            .with_hint("run in a terminal, or pass --yes when everything is in place"));
-    }
-    terminal.say(format!("{question} [Enter = done, n = stop]"));
-    wait_for_stdin(terminal)?;
-    let mut answer = String::new();
-    let read = std::io::stdin().lock().read_line(&mut answer);
-    match answer.trim().to_lowercase().as_str() {
-        "" | "y" | "yes" if matches!(read, Ok(n) if n > 0) => Ok(()),
-        _ => Err(Error::new(format!("the operator declined: {question}"))),
-    }
-}
-
-/// Waits until there is a line to read, or Ctrl-C was pressed.
-fn wait_for_stdin(terminal: &Terminal) -> Result<()> {
-    use rustix::event::{PollFd, PollFlags, Timespec, poll};
-    let stdin = std::io::stdin();
-    let look = Timespec {
-        tv_sec: 0,
-        tv_nsec: 100_000_000,
-    };
-    loop {
-        if terminal.cancelled() {
-            return Err(Error::new("stopped by the operator"));
-        }
-        match poll(&mut [PollFd::new(&stdin, PollFlags::IN)], Some(&look)) {
-            Ok(0) | Err(rustix::io::Errno::INTR) => {}
-            Ok(_) => return Ok(()),
-            Err(e) => return Err(Error::new("the terminal cannot be read").with_source(e)),
-        }
-    }
-}
-
-fn print_summary(terminal: &Terminal, summary: &Summary, json: bool) {
+fn print_summary(summary: &Summary, json: bool) {
     let folder = summary.session.root().display();
     let end = match summary.end {
         End::Finished => "finished",
@@ -400,14 +287,14 @@ fn print_summary(terminal: &Terminal, summary: &Summary, json: bool) {
         data!("{folder}");
     }
     for line in summary.stopped.iter().chain(&bad) {
-        terminal.say(line);
+        eprintln!("{line}");
     }
-    terminal.say(format!(
+    eprintln!(
         "{end}: {} of {} frames, {:.0} s of the rig's time",
         summary.frames, summary.frames_planned, summary.elapsed
-    ));
+    );
     if !summary.finished() {
-        terminal.say(format!("go on with `goniofit capture --resume {folder}`"));
+        eprintln!("go on with `goniofit capture --resume {folder}`");
     }
 }
 

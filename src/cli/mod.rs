@@ -10,7 +10,6 @@ mod inputs;
 mod judge;
 mod output;
 mod ports;
-#[allow(dead_code, reason = "the capture command takes it up")]
 mod screen;
 mod terminal;
 

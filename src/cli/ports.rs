@@ -1,7 +1,9 @@
 //! Which ports a rig is reached through.
 
 use crate::base::{Error, Result};
-use crate::rig::{Connection, LampOutput, RigDescription, SerialTransport, SystemClock, Transport};
+use crate::rig::{
+    Connection, EmergencyLine, LampOutput, RigDescription, SerialTransport, SystemClock, Transport,
+};
 use std::sync::Arc;
 
 /// Replaces ports of the rig file by those given as `PATH` (for a rig with one board) or `DEVICE=PATH`.
@@ -41,11 +43,17 @@ pub(crate) fn override_ports(rig: &mut RigDescription, ports: &[String]) -> Resu
     Ok(())
 }
 
-/// Real ports, real time.
-pub(crate) fn serial_connection() -> Connection<'static> {
+/// Real ports, real time; every board that is opened is put on the emergency line.
+pub(crate) fn serial_connection<'a>(
+    rig: &'a RigDescription,
+    line: &'a EmergencyLine,
+) -> Connection<'a> {
     Connection {
         open: Box::new(|device| {
             let port = SerialTransport::open(&device.path, device.baud, device.dtr)?;
+            if let Some(board) = rig.boards.iter().find(|b| b.name == device.name) {
+                line.add(port.stop_handle(board.protocol.stop_bytes()));
+            }
             Ok(Box::new(port) as Box<dyn Transport>)
         }),
         clock: Arc::new(SystemClock::new()),

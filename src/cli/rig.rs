@@ -7,7 +7,7 @@ use super::output::data;
 use super::ports::{override_ports, serial_connection};
 use super::terminal::{Terminal, nobody_there};
 use crate::base::{Error, Result, Unwatched, Watch};
-use crate::rig::{AxisName, BoardState, Halt, Rig, RigDescription, Step, stop_all};
+use crate::rig::{AxisName, BoardState, EmergencyLine, Halt, Rig, RigDescription, Step, stop_all};
 use serde_json::{Value, json};
 use std::io::{BufRead, IsTerminal};
 use std::path::PathBuf;
@@ -173,7 +173,9 @@ impl Desk {
     /// Connects, does `work`, and prints its answer; whatever goes wrong leaves the rig at rest with its lamp off.
     fn drive(&self, work: impl FnOnce(&mut Rig<'_>, &Terminal) -> Step<Answer>) -> Result<Outcome> {
         let terminal = Terminal::stopping_at_once()?;
-        let connected = Rig::connect(&self.description, &mut serial_connection(), &terminal);
+        let line = EmergencyLine::new();
+        let mut connection = serial_connection(&self.description, &line);
+        let connected = Rig::connect(&self.description, &mut connection, &terminal);
         let mut rig = match connected {
             Err(_) if terminal.cancelled() => {
                 terminal.say("stopped by the operator before anything moved");
@@ -266,7 +268,9 @@ fn stop(desk: &Desk) -> Result<Outcome> {
     if desk.dry_run {
         return desk.rehearse("tell every board to brake, reset it at standstill, lamp off");
     }
-    let done = stop_all(&desk.description, &mut serial_connection(), &Unwatched);
+    let line = EmergencyLine::new();
+    let mut connection = serial_connection(&desk.description, &line);
+    let done = stop_all(&desk.description, &mut connection, &Unwatched);
     let mut failed = Vec::new();
     let mut rows = Vec::new();
     for device in done {

@@ -241,6 +241,11 @@ pub trait Camera {
         String::new()
     }
 
+    /// What must be said of all its frames, on screen and in the session; none for a measuring camera.
+    fn warning(&self) -> Option<String> {
+        None
+    }
+
     /// Takes one shot. A camera that is busy or lost its connection is tried again inside, a bounded number of times.
     ///
     /// # Errors

@@ -9,6 +9,7 @@
 
 mod board_check;
 mod bodies;
+mod cameras;
 pub mod capture;
 mod clearance;
 mod description;
@@ -26,7 +27,6 @@ mod path;
 mod port_owner;
 mod ports;
 mod replay;
-mod replay_camera;
 mod rig_file;
 mod scpi_led;
 mod scpi_model;
@@ -39,13 +39,16 @@ mod tour;
 mod transport;
 mod travel;
 mod utc;
-#[cfg(feature = "uvc")]
-mod uvc;
 mod wire_log;
 mod zaber;
 mod zaber_model;
 
 pub use bodies::{Body, Carrier, Clearance};
+#[cfg(feature = "aravis")]
+pub use cameras::AravisCamera;
+#[cfg(feature = "uvc")]
+pub use cameras::UvcCamera;
+pub use cameras::{CameraWiring, FolderCamera, Gphoto2Camera, ReplayCamera, open_camera};
 pub use clearance::Contact;
 pub use description::{
     Axis, AxisName, Board, CameraDescription, Homing, Lamp, LampOutput, LightSource, Metering,
@@ -64,7 +67,6 @@ pub use outlook::Outlook;
 pub use path::Leg;
 pub use ports::{SerialPortInfo, probe, serial_ports};
 pub use replay::{Replay, ReplayTransport};
-pub use replay_camera::ReplayCamera;
 pub use scpi_led::ScpiLed;
 pub use scpi_model::{ScpiFault, ScpiModel};
 pub use serial::SerialTransport;
@@ -74,8 +76,6 @@ pub use stop::{Stopped, stop_all};
 pub use tour::{EXACT_UP_TO, Tour, tour};
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
 pub use travel::ControllerLimits;
-#[cfg(feature = "uvc")]
-pub use uvc::UvcCamera;
 pub use wire_log::{
     RecordingTransport, Way, WireEntry, WireLog, parse_wire_log, read_wire_log, show_bytes,
 };

@@ -15,6 +15,14 @@ use std::collections::BTreeMap;
 pub type ControllerLimits = BTreeMap<AxisName, AxisLimits>;
 
 impl Protocol {
+    /// What brakes every axis of such a board, at any time, also in the middle of another line.
+    pub fn stop_bytes(self) -> &'static [u8] {
+        match self {
+            Self::Grbl => b"!",
+            Self::Zaber => b"\n/stop\n",
+        }
+    }
+
     /// True when all axes of one move of such a board progress on one straight line.
     pub fn moves_in_line(self) -> bool {
         match self {

@@ -1,7 +1,7 @@
 //! A camera that hands out the frames of an existing session.
 
-use super::{Camera, CapturedFrame, Shot};
 use crate::base::{Context, Error, Result};
+use crate::rig::{Camera, CapturedFrame, Shot};
 use crate::session::{CameraFacts, FrameRecord, SessionFolder, sha256};
 use std::path::Path;
 

@@ -4,8 +4,8 @@
 //! cannot be read back. Its frames are pictures (`jpg` as the camera compresses them, or `ppm`), which the measuring half
 //! refuses. Needs the `uvc` feature.
 
-use super::{Camera, CapturedFrame, Shot};
 use crate::base::{Context, Error, Result};
+use crate::rig::{Camera, CapturedFrame, Shot};
 use crate::session::CameraFacts;
 use nokhwa::pixel_format::RgbFormat;
 use nokhwa::utils::{ApiBackend, CameraIndex, FrameFormat, RequestedFormat, RequestedFormatType};
@@ -52,6 +52,11 @@ impl Camera for UvcCamera {
                 f64::from(size.height()) / 2.0,
             ],
         }
+    }
+
+    fn warning(&self) -> Option<String> {
+        let text = "UVC preview frames: 8 bits, automatic exposure, not radiometric";
+        Some(text.to_owned())
     }
 
     /// Takes the next picture of the stream; `exposure_ms` is the requested one, as nothing better is known.
