@@ -175,7 +175,7 @@ impl Scene {
         let entries = goniofit::rig::parse_wire_log(whole).unwrap();
         let bytes = entries.into_iter().filter(|e| e.way == Way::ToBoard);
         let bytes: Vec<u8> = bytes.flat_map(|e| e.bytes).collect();
-        String::from_utf8(bytes).unwrap()
+        String::from_utf8_lossy(&bytes).into_owned()
     }
 
     fn wait_until_heard(&self, text: &str) {
