@@ -37,14 +37,6 @@ impl Terminal {
         ])
     }
 
-    /// As [`Terminal::new`], for commands that move hardware.
-    pub(crate) fn for_hardware() -> Result<Self> {
-        Self::with_interrupts(&[
-            "stopping after the current shot; press Ctrl-C again to stop the rig now",
-            "stopping the rig now; a third Ctrl-C ends the program and leaves the rig as it is",
-        ])
-    }
-
     /// As [`Terminal::new`], for commands in which nothing is worth finishing: the first Ctrl-C stops the rig.
     pub(crate) fn stopping_at_once() -> Result<Self> {
         let answers = &[
