@@ -99,6 +99,15 @@ fn an_ok_after_failed_homing_is_no_success() {
 }
 
 #[test]
+fn a_hold_that_never_completes_is_reset_and_the_position_is_not_trusted() {
+    let (replay, mut grbl) = connected("grblhal_stuck_hold");
+    let report = grbl.controlled_stop().unwrap();
+    assert!(!report.position_kept, "{report}");
+    assert_eq!(report.state.as_deref(), Some("Idle"));
+    replay.finish().unwrap();
+}
+
+#[test]
 fn homing_that_finds_no_switch_is_told_and_no_ok_is_needed_for_it() {
     let (replay, mut grbl) = connected("grblhal_no_switch");
     Motion::check(&grbl, Homing::Cycle).unwrap();
