@@ -433,7 +433,8 @@ impl Shared {
 
     /// Leaves the terminal as it was found.
     fn restore(&self) {
-        if let Some(canvas) = locked(&self.canvas).as_mut() {
+        // Taken away, so that the other thread draws nothing after it.
+        if let Some(mut canvas) = locked(&self.canvas).take() {
             canvas.restore();
         }
         if let Some(keyboard) = locked(&self.keyboard).as_ref() {
