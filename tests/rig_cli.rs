@@ -177,7 +177,8 @@ fn a_recorded_session_is_replayed_from_the_command_line() {
     command.arg("capture").args(RIG).arg("--out").arg(&new);
     command
         .arg("--camera")
-        .arg(format!("replay:{}", old.display()));
+        .arg(format!("replay:{}", old.display()))
+        .arg("--blind");
     command
         .arg("--replay")
         .arg(old.join("wire.jsonl"))
@@ -231,7 +232,8 @@ fn capture_drives_the_simulator_that_sim_started() {
     command.arg("--out").arg(&new).args(["--port", port]);
     command
         .arg("--camera")
-        .arg(format!("replay:{}", old.display()));
+        .arg(format!("replay:{}", old.display()))
+        .arg("--blind");
     let (code, _, err) = answer(&mut command);
     // Without --yes and without a person the question about the white standard stops it.
     assert_eq!(code, 2);
@@ -250,7 +252,8 @@ fn capture_drives_the_simulator_that_sim_started() {
         .args(["--port", port, "--yes"]);
     command
         .arg("--camera")
-        .arg(format!("replay:{}", old.display()));
+        .arg(format!("replay:{}", old.display()))
+        .arg("--blind");
     let (code, out, err) = answer(&mut command);
     sim.kill().unwrap();
     sim.wait().unwrap();

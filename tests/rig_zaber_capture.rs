@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use goniofit::base::{Result, Unwatched, Watch};
-use goniofit::rig::capture::{Capture, CaptureOptions, Summary};
+use goniofit::rig::capture::{Capture, CaptureOptions, End, Summary};
 use goniofit::rig::simulated::{
     capture_from_replay, capture_in_process, capture_over_pty, connection_to, zaber_options,
 };
@@ -240,13 +240,15 @@ fn a_stop_at_once_at_any_time_of_a_capture_ends_dark_and_still_within_seconds() 
     let (mut stopped, mut moving) = (0, 0);
     for i in 0..40 {
         // All devices are connected after 0.8 s.
-        let asked = 1.1 + 5.7 * f64::from(i);
+        let asked = 1.1 + 4.0 * f64::from(i);
         let out = folder.path().join(i.to_string());
         let (room, result, _) = captured_watching(vec![], &out, Some(asked));
-        let Err(error) = result else { continue };
+        let summary = result.unwrap();
+        if summary.end != End::Aborted {
+            continue;
+        }
         stopped += 1;
-        let report = error.report();
-        assert!(report.contains("stopped at once"), "{asked}: {report}");
+        let report = summary.stopped.join("; ");
         moving += u32::from(report.contains("stopped, position"));
         assert!(
             room.clock.now() - asked < 4.0,
@@ -260,7 +262,7 @@ fn a_stop_at_once_at_any_time_of_a_capture_ends_dark_and_still_within_seconds() 
             assert!(!model.is_moving(), "{asked}: {report}");
         }
     }
-    // The capture takes 229 s; most of it warming up and moving.
+    // The capture takes about 170 s, most of it warming up and moving.
     assert!(stopped >= 38 && moving >= 15, "{stopped} {moving}");
 }
 
@@ -363,7 +365,8 @@ fn the_program_drives_the_simulated_devices_of_the_rig_file() {
         .arg(file("rig_configs/plans/khungurn16.toml"));
     capture
         .arg("--camera")
-        .arg(format!("replay:{}", old.display()));
+        .arg(format!("replay:{}", old.display()))
+        .arg("--blind");
     capture.arg("--out").arg(folder.path().join("new"));
     for device in devices {
         let (name, path) = (device["board"].as_str(), device["path"].as_str());

@@ -98,6 +98,11 @@ impl<'a> Link<'a> {
         self.overrides
     }
 
+    /// A homing cycle ended: what was said before it no longer counts.
+    pub(super) fn forget_homed(&mut self) {
+        self.homed = None;
+    }
+
     /// The last word of a grblHAL on whether its axes are homed, since the last start.
     pub(super) fn homed(&self) -> Option<bool> {
         self.homed

@@ -21,8 +21,9 @@ impl Grbl<'_> {
     pub(super) fn home_and_prepare(&mut self) -> Result<(), Fault> {
         self.rest = None;
         self.run_homing()?;
-        // What the lock said before homing no longer counts.
+        // What the board said before homing no longer counts.
         self.link.take_position_lost();
+        self.link.forget_homed();
         self.prepare()
     }
 

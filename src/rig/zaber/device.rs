@@ -19,6 +19,10 @@ impl Motion for Zaber<'_> {
         self.dump.iter().cloned().chain(retries).collect()
     }
 
+    fn take_notes(&mut self) -> Vec<String> {
+        self.link.take_notes()
+    }
+
     fn check(&self, homing: Homing) -> Result<()> {
         if homing == Homing::Cycle {
             return Ok(());

@@ -49,9 +49,18 @@ pub(super) struct Link<'a> {
     alert: Option<(u8, String)>,
     /// What was sent again, and why.
     pub(super) retries: Vec<String>,
+    /// How many of them were told.
+    told: usize,
 }
 
 impl<'a> Link<'a> {
+    /// The retries since the last call.
+    pub(super) fn take_notes(&mut self) -> Vec<String> {
+        let fresh = self.retries.get(self.told..).unwrap_or_default().to_vec();
+        self.told = self.retries.len();
+        fresh
+    }
+
     pub(super) fn new(
         transport: Box<dyn Transport>,
         clock: Arc<dyn Clock>,
@@ -70,6 +79,7 @@ impl<'a> Link<'a> {
             late_lines: 0,
             alert: None,
             retries: Vec::new(),
+            told: 0,
         }
     }
 
