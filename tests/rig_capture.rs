@@ -215,6 +215,27 @@ fn a_recorded_capture_replays_byte_for_byte_with_the_same_frames() {
 }
 
 #[test]
+fn the_recorded_mock_session_replays_byte_for_byte() {
+    let mock = file("mocks/khungurn16_gabardine");
+    let session = SessionFolder::open(&mock).unwrap();
+    let entries = read_wire_log(&mock.join("wire.jsonl")).unwrap();
+    let mut camera = ReplayCamera::open(&mock).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let again = capture_from_replay(
+        &RigDescription::read(&mock.join("rig.toml")).unwrap(),
+        &session.plan().unwrap(),
+        entries,
+        &mut camera,
+        None,
+        &folder.path().join("s"),
+        &CaptureOptions::default(),
+        &Unattended(&Unwatched),
+    )
+    .unwrap();
+    assert!(again.finished() && camera.unused().is_empty());
+}
+
+#[test]
 fn a_plan_outside_the_limits_is_refused_before_a_byte_is_sent() {
     let rig = rig("five_axis_grblhal");
     let mut text = plan16().to_toml().unwrap();
