@@ -286,31 +286,6 @@ fn a_stretch_without_a_visit_is_told_and_widens_the_error() {
 }
 
 #[test]
-fn metering_frames_never_change_a_number() {
-    let plain = Setup {
-        lamp: Some(smooth),
-        ..visited(8)
-    };
-    let metered = Setup {
-        meter: true,
-        ..plain.clone()
-    };
-    let (without, report) = measured(&plain);
-    let folder = folder();
-    let session = record(folder.path(), &metered);
-    // Nobody looks at their files: no dark has their exposure, one is gone and one is torn.
-    let journal = std::fs::read_to_string(session.journal_path()).unwrap();
-    let mut metering = session.frames().unwrap();
-    metering.retain(|f| f.kind == goniofit::session::FrameKind::Meter);
-    assert_eq!(metering.len(), 4, "{journal}");
-    std::fs::remove_file(session.frame_path(&metering[0].file)).unwrap();
-    std::fs::write(session.frame_path(&metering[1].file), "torn").unwrap();
-    let (with, other) = measure(&session);
-    assert_eq!(with, without);
-    assert_eq!(other, report);
-}
-
-#[test]
 fn a_dark_reference_is_refused() {
     let folder = folder();
     let mut setup = visited(9);

@@ -181,7 +181,7 @@ fn frames_that_cannot_be_judged_are_named() {
         "{text}"
     );
     let mut wide = FrameJudge::new(facts(), 40.0);
-    let border = wide.look(FrameKind::Meter, &pose(0.0, 0.0), &bytes, "dng");
+    let border = wide.look(FrameKind::Reference, &pose(0.0, 0.0), &bytes, "dng");
     assert!(
         border
             .unwrap_err()

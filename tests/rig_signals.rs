@@ -1,10 +1,13 @@
 //! Promise: the real program obeys real signals while it drives a real (pseudo-)terminal.
-#![allow(clippy::unwrap_used, missing_docs)]
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use goniofit::base::{Result, Unwatched};
 use goniofit::rig::capture::CaptureOptions;
-use goniofit::rig::simulated::capture_in_process;
-use goniofit::rig::{Camera, CapturedFrame, RigDescription, Shot, Way, read_wire_log};
+use goniofit::rig::simulated::{capture_in_process, model_options};
+use goniofit::rig::{
+    Camera, CapturedFrame, GrblModel, PtySimulator, RigDescription, Shot, Way, WireLog,
+    read_wire_log,
+};
 use goniofit::session::{CameraFacts, Event, Plan, read_journal};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{BufRead, BufReader};
@@ -111,33 +114,53 @@ struct Scene {
     talk: Receiver<String>,
 }
 
+/// A rig file with these values, a plan of two, and a recorded session to take frames from.
+fn files(values: &[(&str, &str)]) -> tempfile::TempDir {
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let text = std::fs::read_to_string(root.join("rig_configs/five_axis_grblhal.toml"));
+    let changed: Vec<String> = text
+        .unwrap()
+        .lines()
+        .map(|line| {
+            let key = line.split(" =").next().unwrap();
+            let value = values.iter().find(|(k, _)| *k == key);
+            value.map_or(line.to_owned(), |(k, v)| format!("{k} = {v}"))
+        })
+        .collect();
+    std::fs::write(path("rig.toml"), changed.join("\n")).unwrap();
+    let plan_path = root.join("rig_configs/plans/khungurn16.toml");
+    let mut plan = Plan::read(&plan_path).unwrap();
+    plan.configurations.truncate(2);
+    std::fs::write(path("plan.toml"), plan.to_toml().unwrap()).unwrap();
+    let rig = RigDescription::read(&path("rig.toml")).unwrap();
+    let options = CaptureOptions {
+        synthetic: true,
+        ..CaptureOptions::default()
+    };
+    capture_in_process(&rig, &plan, &mut Blank, &path("old"), &options, &Unwatched).unwrap();
+    folder
+}
+
+/// The capture of that, on the board behind this port.
+fn capture(folder: &Path, port: &str) -> Running {
+    let path = |name: &str| folder.join(name);
+    let mut command = goniofit();
+    command.arg("capture").arg("--rig").arg(path("rig.toml"));
+    command.arg("--plan").arg(path("plan.toml"));
+    command.arg("--out").arg(path("new")).arg("--yes");
+    command.args(["--port", port]);
+    command
+        .arg("--camera")
+        .arg(format!("replay:{}", path("old").display()));
+    Running::spawn(&mut command)
+}
+
 impl Scene {
     fn new(values: &[(&str, &str)]) -> Self {
-        let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-        let folder = tempfile::tempdir().unwrap();
+        let folder = files(values);
         let path = |name: &str| folder.path().join(name);
-        let text = std::fs::read_to_string(root.join("rig_configs/five_axis_grblhal.toml"));
-        let changed: Vec<String> = text
-            .unwrap()
-            .lines()
-            .map(|line| {
-                let key = line.split(" =").next().unwrap();
-                let value = values.iter().find(|(k, _)| *k == key);
-                value.map_or(line.to_owned(), |(k, v)| format!("{k} = {v}"))
-            })
-            .collect();
-        std::fs::write(path("rig.toml"), changed.join("\n")).unwrap();
-        let plan_path = root.join("rig_configs/plans/khungurn16.toml");
-        let mut plan = Plan::read(&plan_path).unwrap();
-        plan.configurations.truncate(2);
-        std::fs::write(path("plan.toml"), plan.to_toml().unwrap()).unwrap();
-        let rig = RigDescription::read(&path("rig.toml")).unwrap();
-        let options = CaptureOptions {
-            synthetic: true,
-            ..CaptureOptions::default()
-        };
-        capture_in_process(&rig, &plan, &mut Blank, &path("old"), &options, &Unwatched).unwrap();
-
         let mut command = goniofit();
         command.args(["sim", "--json", "--speed", SPEED, "--log"]);
         let mut sim = Running::spawn(command.arg(path("sim.jsonl")));
@@ -146,15 +169,8 @@ impl Scene {
         stdout.read_line(&mut line).unwrap();
         let json: serde_json::Value = serde_json::from_str(&line).unwrap();
 
-        let mut command = goniofit();
-        command.arg("capture").arg("--rig").arg(path("rig.toml"));
-        command.arg("--plan").arg(path("plan.toml"));
-        command.arg("--out").arg(path("new")).arg("--yes");
-        command.args(["--port", json["boards"][0]["path"].as_str().unwrap()]);
-        command
-            .arg("--camera")
-            .arg(format!("replay:{}", path("old").display()));
-        let mut capture = Running::spawn(&mut command);
+        let port = json["boards"][0]["path"].as_str().unwrap();
+        let mut capture = capture(folder.path(), port);
         let talk = capture.talk();
         Self {
             folder,
@@ -257,4 +273,59 @@ fn a_second_interrupt_stops_the_motion_and_the_position_is_kept() {
         said.contains("<Hold:0") && !said.contains("ALARM:3"),
         "{said}"
     );
+}
+
+#[test]
+fn a_third_interrupt_halts_without_waiting_for_standstill() {
+    let mut scene = Scene::new(&[("feed_deg_per_min", "20.0"), ("settle_ms", "1")]);
+    scene.wait_until_heard("G4P0.01");
+    for _ in 0..3 {
+        scene.capture.signal(Signal::INT);
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    assert_eq!(scene.capture.code_within(PROMPT), 4);
+    let heard = scene.heard();
+    assert!(heard.contains('\x18') && dark(&heard), "{heard:?}");
+}
+
+/// From the signal to the far end of the pseudo-terminal, by way of a process that waits for a motion to end.
+#[test]
+fn the_second_interrupt_is_on_the_wire_in_time() {
+    const LIMIT: f64 = 0.25;
+    let mut times = Vec::new();
+    for _ in 0..5 {
+        let folder = files(&[("feed_deg_per_min", "20.0"), ("settle_ms", "1")]);
+        let rig = RigDescription::read(&folder.path().join("rig.toml")).unwrap();
+        let model = GrblModel::new(model_options(&rig, &rig.boards[0]));
+        let log = WireLog::new();
+        let wire = folder.path().join("wire.jsonl");
+        log.write_to(&wire).unwrap();
+        let start = Instant::now();
+        let board = PtySimulator::spawn(model, 1.0, Some((log, "main".to_owned()))).unwrap();
+        let mut capture = capture(folder.path(), board.path());
+        let heard = |text: &str| {
+            let entries = read_wire_log(&wire).unwrap_or_default();
+            let to_board = entries.into_iter().filter(|e| e.way == Way::ToBoard);
+            to_board
+                .filter(|e| String::from_utf8_lossy(&e.bytes).contains(text))
+                .map(|e| e.t)
+                .next()
+        };
+        wait_for("the motion", || heard("G4P0.01").is_some());
+        capture.signal(Signal::INT);
+        std::thread::sleep(Duration::from_millis(300));
+        assert!(heard("!").is_none(), "the first lets the motion go on");
+        let sent = start.elapsed().as_secs_f64();
+        capture.signal(Signal::INT);
+        wait_for("the hold", || heard("!").is_some());
+        times.push(heard("!").unwrap() - sent);
+        assert_eq!(capture.code_within(PROMPT), 3);
+    }
+    times.sort_by(f64::total_cmp);
+    println!(
+        "SIGINT to the wire: median {:.1} ms, longest {:.1} ms",
+        1e3 * times[2],
+        1e3 * times[4]
+    );
+    assert!(times[4] < LIMIT, "{times:?}");
 }

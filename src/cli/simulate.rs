@@ -318,7 +318,7 @@ impl Appearance for Swatch {
     fn radiance(&self, kind: FrameKind, pose: &Configuration, point_mm: [f64; 2]) -> [f64; 3] {
         match kind {
             FrameKind::White => self.white,
-            FrameKind::Sample | FrameKind::Reference | FrameKind::Meter => self
+            FrameKind::Sample | FrameKind::Reference => self
                 .pictures
                 .get(&pose.id)
                 .map_or([0.0; 3], |p| p.at(point_mm)),

@@ -29,14 +29,14 @@ pub(super) struct Taken {
     pub(super) moment: Moment,
 }
 
-/// The frames of a journal that count, in its order: looks that only chose exposures are no measurements.
+/// The frames of a journal, in its order, each with when it was shot.
 pub(super) fn taken(journal: Vec<Entry>) -> Vec<Taken> {
     let mut ready = 0_usize;
     let mut frames = Vec::new();
     for entry in journal {
         match entry.event {
             Event::Ready { .. } => ready += 1,
-            Event::Frame(record) if record.kind != FrameKind::Meter => frames.push(Taken {
+            Event::Frame(record) => frames.push(Taken {
                 record,
                 moment: Moment {
                     stretch: ready.saturating_sub(1),

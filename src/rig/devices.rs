@@ -208,7 +208,7 @@ pub struct Wiring<'a> {
 pub struct Shot {
     /// What is in front of the camera.
     pub kind: FrameKind,
-    /// The plan's configuration for a sample or meter shot; none for the others.
+    /// The plan's configuration for a sample shot; none for the others.
     pub config: Option<u32>,
     /// Where light, camera and turntable stand.
     pub pose: Configuration,

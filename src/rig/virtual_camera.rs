@@ -643,7 +643,6 @@ mod tests {
             visit(FrameKind::White, 0),
             visit(FrameKind::Reference, 0),
             shot(FrameKind::Sample, 30.0, 0),
-            shot(FrameKind::Meter, 30.0, 0),
             visit(FrameKind::Reference, 1),
             visit(FrameKind::Dark, 0),
         ];

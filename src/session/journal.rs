@@ -20,8 +20,6 @@ pub enum FrameKind {
     White,
     /// The sample at the white's reference geometry, light on: how bright the lamp is now.
     Reference,
-    /// A look at the sample to choose the exposures of its configuration; never measured.
-    Meter,
 }
 
 impl FrameKind {
@@ -32,7 +30,6 @@ impl FrameKind {
             Self::Dark => "dark",
             Self::White => "white",
             Self::Reference => "reference",
-            Self::Meter => "meter",
         }
     }
 }

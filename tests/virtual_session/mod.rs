@@ -62,8 +62,6 @@ pub struct Setup {
     pub unvisited: Vec<usize>,
     /// Sample shots before which the capture is interrupted and goes on.
     pub breaks: Vec<usize>,
-    /// Takes a metering shot before each configuration.
-    pub meter: bool,
     /// The lamp's brightness by time, 0 at the first shot after the whites and 1 at the last, and by stretch.
     pub lamp: Option<fn(f64, usize) -> [f64; 3]>,
     /// Standard error of the stated reflectance factor; the stated one is drawn around the true one.
@@ -101,7 +99,6 @@ impl Setup {
             reference_mean: [0.6, 0.5, 0.55],
             unvisited: Vec::new(),
             breaks: Vec::new(),
-            meter: false,
             lamp: None,
             white_se: 0.003,
             seed,
@@ -211,9 +208,6 @@ impl Script<'_> {
         self.visit();
         let mut taken = 0;
         for pose in setup.configurations() {
-            if setup.meter {
-                self.shots(FrameKind::Meter, Some(pose.id), pose, &[7.0], 1);
-            }
             let first = self.steps.len();
             let sample = FrameKind::Sample;
             self.shots(
@@ -298,7 +292,7 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
         visits: 0,
     };
     let steps = script.write();
-    let takes_time = |s: &&Step| matches!(s, Step::Shot(shot) if shot.kind != FrameKind::Meter);
+    let takes_time = |s: &&Step| matches!(s, Step::Shot(_));
     let early = |s: &&Step| matches!(s, Step::Shot(shot) if matches!(shot.kind, FrameKind::Dark | FrameKind::White));
     let start_s = steps.iter().filter(early).count() as f64;
     let end_s = steps.iter().filter(takes_time).count() as f64 - 1.0;
@@ -351,10 +345,7 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
             .add_frame(&mut journal, elapsed_s, record, &frame.bytes)
             .unwrap();
         number += 1;
-        // Metering takes no time, so that sessions with and without it compare.
-        if shot.kind != FrameKind::Meter {
-            elapsed_s += 1.0;
-        }
+        elapsed_s += 1.0;
     }
     session
 }

@@ -36,7 +36,6 @@ fn line(text: impl Into<String>, style: Style) -> Line {
 enum State {
     Waiting,
     Moving,
-    Metering,
     Exposing,
     Done,
     Reshot,
@@ -48,7 +47,6 @@ impl State {
         match self {
             Self::Waiting => "waiting",
             Self::Moving => "moving",
-            Self::Metering => "metering",
             Self::Exposing => "exposing",
             Self::Done => "done",
             Self::Reshot => "re-shot",
@@ -59,7 +57,7 @@ impl State {
     fn style(self) -> Style {
         match self {
             Self::Waiting => Style::Faint,
-            Self::Moving | Self::Metering | Self::Exposing => Style::Bold,
+            Self::Moving | Self::Exposing => Style::Bold,
             Self::Done => Style::Good,
             Self::Reshot => Style::Warning,
             Self::Clipped => Style::Bad,
@@ -81,8 +79,8 @@ impl Place {
         match (shot.kind, shot.config) {
             (FrameKind::White, _) => Self::White,
             (FrameKind::Reference, _) => Self::Reference,
-            (FrameKind::Sample | FrameKind::Meter, Some(id)) => Self::Configuration(id),
-            (FrameKind::Sample | FrameKind::Meter | FrameKind::Dark, _) => Self::Dark,
+            (FrameKind::Sample, Some(id)) => Self::Configuration(id),
+            (FrameKind::Sample | FrameKind::Dark, _) => Self::Dark,
         }
     }
 
@@ -257,12 +255,7 @@ impl Table {
             }
             Seen::Exposing(shot) => {
                 self.status = format!("exposing {} ms", exposures(&[shot.exposure_ms]));
-                let state = if shot.kind == FrameKind::Meter {
-                    State::Metering
-                } else {
-                    State::Exposing
-                };
-                self.enter(shot, state)
+                self.enter(shot, State::Exposing)
             }
             Seen::Taken(taken) => {
                 self.take(taken, elapsed);
@@ -329,9 +322,6 @@ impl Table {
         };
         if let Some(exposed) = taken.record.exposed {
             row.mean = Some(exposed.mean);
-        }
-        if taken.shot.kind == FrameKind::Meter {
-            return;
         }
         row.frames += 1;
         let peaks = taken.record.exposed.map_or([0.0; 3], |e| e.peak);

@@ -91,7 +91,7 @@ fn story(mut see: impl FnMut(&Seen<'_>)) {
     see(&Seen::Note(
         "configuration 2 is too dark, shot again at 800 ms",
     ));
-    let third = shot(FrameKind::Meter, Some(3), 50.0);
+    let third = shot(FrameKind::Sample, Some(3), 50.0);
     see(&Seen::Moving(&third, 2.0));
     see(&Seen::Exposing(&third));
 }
@@ -120,7 +120,7 @@ config     light    camera  turn  state     exposures ms         mean r g b   n
  white   45  180    0    0     0  done                50  0.310 0.420 0.400   1
      1   80  180   80    0     0  clipped         50 400  0.950 0.950 0.950   2
      2   64    0   48    0     0  re-shot     50 400 800  0.050 0.051 0.052   3
-     3   32  180   32    0     0  metering                                    0
+     3   32  180   32    0     0  exposing                                    0
      4   80  180   32    0     0  waiting                                     0
      5   80  180   80    0    90  waiting                                     0
      6   64    0   48    0    90  waiting                                     0
