@@ -3,46 +3,22 @@
 //! Deterministic: `SEED` overrides the seed. Times are those of a virtual clock.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
+#[path = "common/noise.rs"]
+mod noise;
+
 use goniofit::base::{Result, Unwatched};
 use goniofit::rig::{
     Clock, Flavor, Grbl, GrblModel, Light, ModelOptions, ModelTransport, Motion, SharedModel,
     Target, Transport, VirtualClock,
 };
+use noise::{Dice, Noisy};
 use std::io;
 use std::sync::{Arc, Mutex};
 
 /// Seconds any one request may take: homing has the longest limit, 180 s.
 const LIMIT: f64 = 200.0;
 
-fn seed() -> u64 {
-    let given = std::env::var("SEED").ok().and_then(|s| s.parse().ok());
-    given.unwrap_or(0x5eed_0007)
-}
-
-/// xorshift64*.
-struct Dice(u64);
-
-impl Dice {
-    fn of(case: u64) -> Self {
-        let mut dice = Self((seed() ^ case.wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
-        for _ in 0..4 {
-            dice.next();
-        }
-        dice
-    }
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        self.0.wrapping_mul(0x2545_f491_4f6c_dd1d)
-    }
-    fn below(&mut self, n: usize) -> usize {
-        ((self.next() >> 33) as usize) % n
-    }
-    fn one_in(&mut self, n: usize) -> bool {
-        self.below(n) == 0
-    }
-}
+const SEED: u64 = 0x5eed_0007;
 
 /// Pieces of the language, so that nonsense gets past the first check.
 const PIECES: &[&str] = &[
@@ -183,7 +159,7 @@ fn random_replies_end_in_an_error_or_a_success() {
     let (mut connected, mut homed, mut moved) = (0, 0, 0);
     for case in 0..4000_u64 {
         let clock = Arc::new(VirtualClock::new());
-        let mut dice = Dice::of(case);
+        let mut dice = Dice::of(SEED, case);
         let model = GrblModel::new(ModelOptions::rig(Flavor::Grbl));
         let babble = Babble {
             sane: ModelTransport::new(Arc::new(Mutex::new(model)), clock.clone()),
@@ -226,74 +202,15 @@ fn random_replies_end_in_an_error_or_a_success() {
     );
 }
 
-/// A cable that damages what passes, in one direction, from a time on.
-struct Noisy {
-    inner: ModelTransport,
-    dice: Dice,
-    clock: Arc<VirtualClock>,
-    from: f64,
-    to_board: bool,
-    one_in: usize,
-}
-
-impl Noisy {
-    fn damaged(&mut self, bytes: &[u8]) -> Vec<u8> {
-        let mut out = Vec::new();
-        for &byte in bytes {
-            if self.clock.now() < self.from || !self.dice.one_in(self.one_in) {
-                out.push(byte);
-                continue;
-            }
-            match self.dice.below(5) {
-                0 => {}
-                1 => out.extend([byte, byte]),
-                2 => out.push(byte ^ (1 << self.dice.below(8))),
-                3 => out.extend([byte, self.dice.next() as u8]),
-                // Bytes that are commands of their own.
-                _ => out.extend([
-                    byte,
-                    [0x18, 0x84, 0x85, 0x91, 0x9a, b'!'][self.dice.below(6)],
-                ]),
-            }
-        }
-        out
-    }
-}
-
-impl Transport for Noisy {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let bytes = if self.to_board {
-            self.damaged(bytes)
-        } else {
-            bytes.to_vec()
-        };
-        self.inner.write(&bytes)
-    }
-
-    fn read(&mut self, buffer: &mut [u8], timeout: f64) -> io::Result<usize> {
-        // Half the room, as damage may double the bytes.
-        let mut clean = vec![0; buffer.len() / 2];
-        let n = self.inner.read(&mut clean, timeout)?;
-        if self.to_board || n == 0 {
-            buffer[..n].copy_from_slice(&clean[..n]);
-            return Ok(n);
-        }
-        let bytes = self.damaged(&clean[..n]);
-        if bytes.is_empty() {
-            return Err(io::ErrorKind::TimedOut.into());
-        }
-        buffer[..bytes.len()].copy_from_slice(&bytes);
-        Ok(bytes.len())
-    }
-}
-
 /// Connects over a clean cable; then noise. Returns moves that claimed success, and all moves.
 fn over_a_noisy_cable(case: u64, to_board: bool) -> (u32, u32) {
     let flavor = [Flavor::Grbl, Flavor::GrblHal][(case % 2) as usize];
     let clock = Arc::new(VirtualClock::new());
     let model: SharedModel = Arc::new(Mutex::new(GrblModel::new(ModelOptions::rig(flavor))));
-    let mut dice = Dice::of(case);
+    let mut dice = Dice::of(SEED, case);
     let noisy = Noisy {
+        // Commands of their own.
+        live: &[0x18, 0x84, 0x85, 0x91, 0x9a, b'!'],
         inner: ModelTransport::new(model.clone(), clock.clone()),
         clock: clock.clone(),
         from: 3.0 + 12.0 * dice.below(1000) as f64 / 1000.0,

@@ -2,11 +2,15 @@
 //! it is switched off or the operator is told that it may still burn.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
+#[path = "common/noise.rs"]
+mod noise;
+
 use goniofit::base::{Result, Unwatched, Watch};
 use goniofit::rig::{
     Clock, Light, ModelTransport, PtySimulator, Replay, ScpiFault, ScpiLed, ScpiModel,
     SerialTransport, SystemClock, Transport, VirtualClock, Way, WireEntry, Wiring,
 };
+use noise::Dice;
 use std::io;
 use std::sync::{Arc, Mutex};
 
@@ -280,30 +284,6 @@ fn another_channel_is_addressed_by_its_number() {
 
 // -- noise --------------------------------------------------------------------------------------------------------------
 
-/// xorshift64*.
-struct Dice(u64);
-
-impl Dice {
-    fn of(case: u64) -> Self {
-        let given = std::env::var("SEED").ok().and_then(|s| s.parse().ok());
-        let seed = given.unwrap_or(0x5eed_0008_u64);
-        let mut dice = Self((seed ^ case.wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
-        for _ in 0..4 {
-            dice.next();
-        }
-        dice
-    }
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        self.0.wrapping_mul(0x2545_f491_4f6c_dd1d)
-    }
-    fn below(&mut self, n: usize) -> usize {
-        ((self.next() >> 33) as usize) % n
-    }
-}
-
 /// A cable that damages what comes from the device.
 struct Noisy(ModelTransport, Dice, usize);
 
@@ -335,7 +315,7 @@ fn damaged_replies_never_hang_it_and_off_always_arrives() {
     let (mut lit, mut refused) = (0, 0);
     for case in 0..2000 {
         let bench = Bench::new(vec![]);
-        let mut dice = Dice::of(case);
+        let mut dice = Dice::of(0x5eed_0008, case);
         let one_in = [20, 60, 200][dice.below(3)];
         let cable = ModelTransport::new(bench.model.clone(), bench.clock.clone());
         let noisy = Box::new(Noisy(cable, dice, one_in));

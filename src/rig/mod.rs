@@ -21,6 +21,7 @@ mod grbl;
 mod kinematics;
 mod machine;
 mod model;
+mod obey;
 mod operator;
 mod outlook;
 mod path;

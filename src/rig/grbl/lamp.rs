@@ -2,10 +2,10 @@
 
 use super::Grbl;
 use super::fault::Fault;
-use super::link::Obey;
 use super::replies::listed;
 use crate::base::{Error, Result};
 use crate::rig::devices::Light;
+use crate::rig::obey::Obey;
 
 impl Grbl<'_> {
     fn switch_lamp(&mut self, line: &str, power: Option<f64>) -> Result<(), Fault> {

@@ -4,6 +4,7 @@ use super::fault::Fault;
 use super::replies::Reply;
 use super::status::Status;
 use crate::base::Watch;
+use crate::rig::obey::Obey;
 use crate::rig::transport::{Clock, Transport};
 use std::io;
 use std::sync::Arc;
@@ -18,17 +19,6 @@ const LATE_READS: u32 = 100;
 const NOISE_LINES: u32 = 2;
 /// Notes kept until somebody takes them.
 const MAX_NOTES: usize = 1000;
-
-/// Which requests of the operator end a wait.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Obey {
-    /// To end early or at once: nothing has moved yet.
-    Any,
-    /// Only to stop at once.
-    Urgent,
-    /// None: a stop is under way.
-    Nothing,
-}
 
 pub(super) struct Link<'a> {
     transport: Box<dyn Transport>,
@@ -85,12 +75,10 @@ impl<'a> Link<'a> {
 
     /// Fails when the operator asked for what this wait obeys.
     fn interrupted(&self) -> Result<(), Fault> {
-        let asked = match self.obey {
-            Obey::Any => self.watch.cancelled() || self.watch.urgent(),
-            Obey::Urgent => self.watch.urgent(),
-            Obey::Nothing => false,
-        };
-        if asked { Err(Fault::Stopped) } else { Ok(()) }
+        if self.obey.ends(self.watch) {
+            return Err(Fault::Stopped);
+        }
+        Ok(())
     }
 
     /// The last overrides reported since the last start.

@@ -29,10 +29,11 @@ pub(super) use fault::stopped_at_once;
 pub use status::Status;
 pub use stopping::StopReport;
 
+use super::obey::Obey;
 use super::transport::{Clock, Transport};
 use crate::base::{Context, Result, Watch};
 use fault::Fault;
-use link::{Link, Obey};
+use link::Link;
 use replies::{listed, setting};
 use route::Route;
 use std::collections::BTreeMap;

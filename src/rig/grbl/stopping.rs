@@ -2,8 +2,8 @@
 
 use super::Grbl;
 use super::fault::Fault;
-use super::link::Obey;
 use crate::base::{Error, Result};
+use crate::rig::obey::Obey;
 use std::fmt;
 
 /// How a controlled stop ended.

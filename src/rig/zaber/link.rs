@@ -4,6 +4,7 @@ use super::fault::Fault;
 use super::flags::{self, Effect};
 use super::frame::{self, Message, Reply};
 use crate::base::Watch;
+use crate::rig::obey::Obey;
 use crate::rig::transport::{Clock, Transport};
 use crate::rig::wire_log::show_bytes;
 use std::io;
@@ -19,17 +20,6 @@ const LATE_LINES: u32 = 64;
 const LONGEST_LINE: usize = 512;
 /// Repetitions that are remembered.
 const REMEMBERED: usize = 200;
-
-/// Which requests of the operator end a wait.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Obey {
-    /// To end early or at once: nothing has moved yet.
-    Any,
-    /// Only to stop at once.
-    Urgent,
-    /// None: a stop is under way.
-    Nothing,
-}
 
 pub(super) struct Link<'a> {
     transport: Box<dyn Transport>,
@@ -85,12 +75,10 @@ impl<'a> Link<'a> {
 
     /// Fails when the operator asked for what this wait obeys.
     fn interrupted(&self) -> Result<(), Fault> {
-        let asked = match self.obey {
-            Obey::Any => self.watch.cancelled() || self.watch.urgent(),
-            Obey::Urgent => self.watch.urgent(),
-            Obey::Nothing => false,
-        };
-        if asked { Err(Fault::Stopped) } else { Ok(()) }
+        if self.obey.ends(self.watch) {
+            return Err(Fault::Stopped);
+        }
+        Ok(())
     }
 
     /// Lets time pass.

@@ -18,11 +18,12 @@ mod link;
 mod motion;
 
 use super::devices::{AxisLimits, Travel, Wiring};
+use super::obey::Obey;
 use crate::base::{Context, Error, Result};
 use fault::Fault;
 use flags::Effect;
 use frame::Reply;
-use link::{Link, Obey};
+use link::Link;
 
 /// Times a harmless command is sent before giving up.
 const TRIES: u32 = 3;

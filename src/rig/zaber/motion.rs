@@ -2,9 +2,9 @@
 
 use super::fault::Fault;
 use super::flags::{self, Effect};
-use super::link::Obey;
 use super::{SPEED_SCALE, TRIES, Zaber};
 use crate::rig::devices::{Target, Travel};
+use crate::rig::obey::Obey;
 
 /// Seconds between two looks at a moving axis.
 const POLL: f64 = 0.05;
