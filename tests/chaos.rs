@@ -3,7 +3,7 @@
 //!
 //! A few hundred seeded captures here; the long run is `cargo test --release --test chaos -- --ignored --nocapture`.
 //! `SEED=n` replays one capture of the mixed runs with its story printed.
-#![allow(clippy::unwrap_used, missing_docs)]
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use goniofit::base::{Error, Result, Watch};
 use goniofit::math::Random;

@@ -106,10 +106,10 @@ impl Outlook {
         };
         let (mut seconds, mut lamp, mut at) = (0.0, self.frames > 0.0, None::<&PlannedShot>);
         for planned in &self.shots {
-            if let Some(at) = at {
-                if at.angles != planned.angles {
-                    seconds += slower * self.way(&at.angles, &planned.angles);
-                }
+            if let Some(at) = at
+                && at.angles != planned.angles
+            {
+                seconds += slower * self.way(&at.angles, &planned.angles);
             }
             if planned.shot.kind != FrameKind::Dark && !lamp {
                 seconds += self.description.lamp.warm_up_s;
