@@ -236,8 +236,7 @@ impl Operator for Screen {
             return false;
         }
         "paused".clone_into(&mut locked(&self.shared.table).status);
-        let keys =
-            "PAUSED, lamp on: c go on  a abort, the session can be resumed  h halt  v preview";
+        let keys = "PAUSED: c go on  a abort, the session can be resumed  h halt  v preview";
         self.say(keys);
         let before = self.shared.show_keys(keys.to_owned());
         let go_on = loop {

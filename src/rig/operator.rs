@@ -64,7 +64,7 @@ pub trait Operator: Watch {
     /// The answer is no, or nobody is there.
     fn confirm(&self, question: &str) -> Result<()>;
 
-    /// The capture is paused and the rig at rest, lamp on. Returns when the operator decided: true to go on, with
+    /// The capture is paused and the rig at rest; the lamp is on, unless motion had to be stopped. Returns when the operator decided: true to go on, with
     /// [`Operator::request`] at [`Request::Go`] again, false to end here, resumable.
     fn paused(&self) -> bool;
 
