@@ -155,7 +155,7 @@ fn the_table_fits_every_terminal() {
         "{whole}"
     );
     let small = text(&table.lines(60, 8, Duration::ZERO));
-    assert!(small.contains("metering"), "{small}");
+    assert!(small.contains("exposing   "), "{small}");
 }
 
 #[test]
@@ -419,7 +419,7 @@ fn the_table_is_redrawn_in_place_and_the_terminal_left_as_it_was() {
         std::thread::sleep(Duration::from_millis(60));
     }
     story(|seen| screen.seen(seen));
-    pty.wait_for("metering");
+    pty.wait_for("exposing   ");
     pty.press("?");
     pty.wait_for("cuts the motors' power");
     drop(screen);
