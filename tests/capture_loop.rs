@@ -367,6 +367,8 @@ struct Person {
     /// Asks at this time of the clock.
     at: Option<(Arc<VirtualClock>, f64)>,
     pauses: AtomicU32,
+    /// In a pause somebody presses this, and the emergency line fires.
+    in_pause: Option<(SharedModel, Arc<VirtualClock>, Request)>,
     notes: Mutex<Vec<String>>,
 }
 
@@ -416,6 +418,13 @@ impl Operator for Person {
     fn paused(&self) -> bool {
         self.pauses.fetch_add(1, Ordering::SeqCst);
         *self.asking.lock().unwrap() = None;
+        if let Some((model, clock, wish)) = &self.in_pause {
+            clock.sleep(5.0);
+            model.lock().unwrap().receive(b"!", clock.now());
+            if !self.go_on {
+                *self.asking.lock().unwrap() = Some(*wish);
+            }
+        }
         self.go_on
     }
     fn seen(&self, what: &Seen<'_>) {
@@ -538,6 +547,182 @@ fn abort_and_halt_end_dark_and_differ_in_what_becomes_of_the_position() {
                 .finished()
         );
     }
+}
+
+#[test]
+fn an_abort_or_a_halt_in_a_pause_ends_dark_although_the_board_was_told_to_hold() {
+    let rig = plain_rig();
+    let folder = tempfile::tempdir().unwrap();
+    for (wish, end) in [
+        (Request::PauseNow, End::Paused),
+        (Request::Abort, End::Aborted),
+        (Request::Halt, End::Halted),
+    ] {
+        let room = Room::of(&rig);
+        let out = folder.path().join(format!("{end:?}"));
+        let mut operator = Person::asking(2, Request::Pause, false);
+        operator.in_pause = Some((room.model.clone(), room.clock.clone(), wish));
+        let summary = room
+            .capture(&rig, &plan(3), &mut camera(|_| 0.5), &operator, &out)
+            .unwrap();
+        assert_eq!((summary.end, summary.frames), (end, 2));
+        assert!(room.is_dark_and_still(), "{end:?}");
+        assert!(matches!(events(&out).last(), Some(Event::Stopped { .. })));
+    }
+    // Pressed and taken back: it goes on from where it stands.
+    let room = Room::of(&rig);
+    let mut operator = Person::asking(2, Request::Pause, true);
+    operator.in_pause = Some((room.model.clone(), room.clock.clone(), Request::PauseNow));
+    let out = folder.path().join("on");
+    let summary = room
+        .capture(&rig, &plan(3), &mut camera(|_| 0.5), &operator, &out)
+        .unwrap();
+    assert!(summary.finished() && summary.frames == 5);
+    assert_eq!(
+        sent(&out).matches("$H\n").count(),
+        1,
+        "the position was kept"
+    );
+}
+
+#[test]
+fn a_pause_in_the_warm_up_or_while_settling_cuts_neither_short() {
+    let rig = rig("exposures_ms = [32.0]", "warm_up_s = 100.0");
+    let folder = tempfile::tempdir().unwrap();
+    // When the lamp goes on in an undisturbed capture.
+    let room = Room::of(&rig);
+    let out = folder.path().join("whole");
+    let nobody = Unattended(&Unwatched);
+    room.capture(&rig, &plan(1), &mut camera(|_| 0.5), &nobody, &out)
+        .unwrap();
+    let lamp = read_wire_log(&out.join("wire.jsonl"))
+        .unwrap()
+        .into_iter()
+        .find(|e| String::from_utf8_lossy(&e.bytes).contains("M3S"))
+        .unwrap()
+        .t;
+    let first = |out: &Path| read_journal(&out.join("journal.jsonl")).unwrap()[1].elapsed_s;
+    assert!(first(&out) > lamp + 100.0);
+    let room = Room::of(&rig);
+    let out = folder.path().join("paused");
+    let operator = Person::asking_at(&room.clock, lamp + 30.0, Request::Pause, true);
+    room.capture(&rig, &plan(1), &mut camera(|_| 0.5), &operator, &out)
+        .unwrap();
+    assert_eq!(operator.pauses.load(Ordering::SeqCst), 1);
+    assert!(first(&out) > lamp + 100.0, "{} {lamp}", first(&out));
+}
+
+/// A camera with a longest exposure.
+struct Limited(VirtualCamera, f64);
+
+impl Camera for Limited {
+    fn facts(&self) -> CameraFacts {
+        Camera::facts(&self.0)
+    }
+    fn expose(&mut self, shot: &Shot) -> Result<CapturedFrame> {
+        if shot.exposure_ms > self.1 {
+            return Err(Error::new("no such exposure").with_hint("the longest is shorter"));
+        }
+        self.0.expose(shot)
+    }
+}
+
+#[test]
+fn an_exposure_the_camera_refuses_ends_re_shooting_and_not_the_capture() {
+    let rig = rig("exposures_ms = [1.0, 2.0]", "warm_up_s = 1.0");
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("s");
+    let operator = Person::default();
+    let mut camera = Limited(camera(|_| 0.02), 10.0);
+    let summary = Room::of(&rig)
+        .capture(&rig, &plan(2), &mut camera, &operator, &out)
+        .unwrap();
+    assert!(summary.finished());
+    assert!(summary.badly_exposed.iter().any(|b| b.1 == Verdict::Dim));
+    let notes = operator.notes.lock().unwrap();
+    assert!(
+        notes
+            .iter()
+            .any(|n| n.contains("left out: no such exposure")),
+        "{notes:?}"
+    );
+    assert!(frames(&out).iter().all(|f| f.exposure_ms <= 10.0));
+}
+
+#[test]
+fn a_reference_visit_that_was_cut_short_is_no_model_for_the_later_ones() {
+    let rig = rig(
+        "exposures_ms = [2.0, 8.0, 32.0, 128.0, 512.0, 2048.0]\nmetering = \"metered\"",
+        "warm_up_s = 1.0\nreference_every = 100",
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("s");
+    let whites = {
+        let all = folder.path().join("whole");
+        Room::of(&rig)
+            .capture(
+                &rig,
+                &plan(2),
+                &mut camera(|_| 3.0),
+                &Unattended(&Unwatched),
+                &all,
+            )
+            .unwrap();
+        let of_white = frames(&all)
+            .iter()
+            .filter(|f| f.kind == FrameKind::White)
+            .count();
+        of_white as u32
+    };
+    // Ends after the first look of the first visit, which is clipped.
+    let operator = Person::asking(whites + 1, Request::Pause, false);
+    Room::of(&rig)
+        .capture(&rig, &plan(2), &mut camera(|_| 3.0), &operator, &out)
+        .unwrap();
+    let last = frames(&out).last().unwrap().clone();
+    assert!(last.kind == FrameKind::Reference && last.exposed.unwrap().peak[0] >= 0.9);
+    Room::of(&rig)
+        .capture(
+            &rig,
+            &plan(2),
+            &mut camera(|_| 3.0),
+            &Unattended(&Unwatched),
+            &out,
+        )
+        .unwrap();
+    for visit in 1..=2 {
+        let usable = frames(&out)
+            .iter()
+            .filter(|f| f.kind == FrameKind::Reference && f.visit == visit)
+            .filter(|f| f.exposed.unwrap().peak.iter().all(|p| *p < 0.9))
+            .count();
+        assert!(usable >= 1, "visit {visit}");
+    }
+}
+
+#[test]
+fn a_session_goes_on_with_its_own_camera_only() {
+    let rig = plain_rig();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("s");
+    let operator = Person::asking(2, Request::Pause, false);
+    Room::of(&rig)
+        .capture(&rig, &plan(2), &mut camera(|_| 0.5), &operator, &out)
+        .unwrap();
+    let sensor = SensorModel {
+        width: 80,
+        ..camera(|_| 0.5).sensor().clone()
+    };
+    let mut other = VirtualCamera::new(sensor, Box::new(Flat(|_| 0.5)), 3).unwrap();
+    let nobody = Unattended(&Unwatched);
+    let error = Room::of(&rig)
+        .capture(&rig, &plan(2), &mut other, &nobody, &out)
+        .unwrap_err()
+        .report();
+    assert!(
+        error.contains("begun with camera") && error.contains("80 x 64"),
+        "{error}"
+    );
 }
 
 // -- the board between the shots, and the record ---------------------------------------------------------------------

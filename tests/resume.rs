@@ -426,6 +426,13 @@ fn a_full_disk_stops_with_a_clear_message_and_the_session_goes_on_afterwards() {
             said.contains("cannot be written") && said.contains("--resume"),
             "{said}"
         );
+        // Still full the next time.
+        let out = bench.path(&name);
+        if 512 * blocks < bytes {
+            let (_sim, mut capture) = bench.capture(&["--resume", out.to_str().unwrap()], &limit);
+            let (code, said) = ended(&mut capture);
+            assert_eq!(code, Some(2), "{said}");
+        }
         bench.resume_to_the_end(&name);
         assert_each_shot_once(&bench.path(&name), &name);
         assert_eq!(measured(&bench.path(&name)), expected, "{name}");

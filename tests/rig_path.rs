@@ -521,6 +521,30 @@ fn an_axis_with_play_ends_its_way_in_its_direction_of_approach() {
 }
 
 #[test]
+fn after_a_stop_on_the_way_play_is_taken_up_again() {
+    let text = std::fs::read_to_string(
+        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("rig_configs/five_axis_grblhal.toml"),
+    )
+    .unwrap();
+    let text = text.replacen("settle_ms = 300", "settle_ms = 300\nbacklash_deg = 1.0", 1);
+    let rig = RigDescription::from_toml(&text).unwrap();
+    let to = AxisAngles([10.0, 0.0, 45.0, 180.0, 0.0]);
+    // Stopped on the way down from 50, half a degree past the target: the straight way up would end in approach
+    // direction with the play still open.
+    let from = AxisAngles([9.5, 0.0, 45.0, 180.0, 0.0]);
+    assert_eq!(rig.path(&from, &to).unwrap().len(), 1);
+    let legs = rig.path_with_slack(&from, &to).unwrap();
+    assert!(
+        (legs[0].to.0[0] - 9.0).abs() < 1e-9 && legs.len() == 2,
+        "{legs:?}"
+    );
+    // One that stands at its target too.
+    let legs = rig.path_with_slack(&to, &to).unwrap();
+    assert_eq!(legs.len(), 2, "{legs:?}");
+    assert!((legs[0].to.0[0] - 9.0).abs() < 1e-9);
+}
+
+#[test]
 fn from_the_switches_outside_the_limits_the_way_leads_inside() {
     for name in ["five_axis_grblhal", "two_board_grbl"] {
         let rig = rig(name);

@@ -126,6 +126,8 @@ impl Capture<'_> {
                 "resume with the session's own rig.toml and plan.toml; only ports may differ",
             ));
         }
+        self.same_camera(&manifest)
+            .context(|| format!("{} cannot be continued", root.display()))?;
         let (session, journal, entries) = SessionFolder::resume(root)?;
         if entries.iter().any(|e| e.event == Event::Finished) {
             return Err(Error::new(format!("{} is complete", root.display()))
@@ -134,6 +136,28 @@ impl Capture<'_> {
         let elapsed = entries.last().map_or(0.0, |e| e.elapsed_s);
         let history = History::of(&entries);
         self.run(|_, _| Ok((session, journal, history, elapsed)))
+    }
+
+    /// A session has one camera.
+    fn same_camera(&self, manifest: &Manifest) -> Result<()> {
+        let (was, is) = (&manifest.camera, self.camera.facts());
+        let (old, new) = (&manifest.provenance.camera_serial, self.camera.serial());
+        let other = !old.is_empty() && !new.is_empty() && *old != new;
+        if *was == is && !other && manifest.synthetic == self.options.synthetic {
+            return Ok(());
+        }
+        Err(Error::new(format!(
+            "it was begun with camera {} {old} ({} x {}, synthetic: {}), this is {} {new} ({} x {}, synthetic: {})",
+            was.name,
+            was.width,
+            was.height,
+            manifest.synthetic,
+            is.name,
+            is.width,
+            is.height,
+            self.options.synthetic
+        ))
+        .with_hint("connect the session's camera, or capture into a new folder"))
     }
 
     fn run(
@@ -279,35 +303,52 @@ impl Loop<'_, '_> {
                 Err(Halt::Cancelled) => None,
                 Err(Halt::Failed(error)) => Some(error),
             };
-            let request = self.operator.request();
-            let end = match (request, error) {
-                // The rig is at rest with the lamp on.
-                (Request::Go | Request::Pause, None) => {
-                    if self.operator.paused() {
-                        continue;
-                    }
-                    self.close("paused by the operator")?;
-                    return Ok(self.summary(End::Paused, Vec::new()));
+            let mut done = Vec::new();
+            let mut end = match (asked_end(self.operator.request()), error) {
+                (Some(end), _) => {
+                    done = self.stop(end);
+                    end
                 }
-                (Request::Go | Request::Pause, Some(error)) => {
-                    return Err(self.give_up(error, frames_before));
-                }
-                (Request::PauseNow, _) => End::Paused,
-                (Request::Abort, _) => End::Aborted,
-                (Request::Halt, _) => End::Halted,
+                (None, Some(error)) => return Err(self.give_up(error, frames_before)),
+                (None, None) => End::Paused,
             };
-            let done = self.rig.make_safe(end == End::Halted);
-            self.at = None;
-            if end == End::Paused && self.operator.paused() {
-                // The lamp was off: what follows is compared through the reference pose.
-                continue;
+            if end == End::Paused {
+                if self.operator.paused() {
+                    self.take_up();
+                    continue;
+                }
+                // The pause itself may have ended in something more urgent, and the boards have heard of it already.
+                if let Some(more) = asked_end(self.operator.request()) {
+                    end = more;
+                    done = self.stop(end);
+                }
             }
-            self.journal_stop(match end {
+            if let Err(error) = self.rig.lamp_off() {
+                done.push(error.report());
+                done.extend(self.stop(End::Aborted));
+            }
+            let reason = match end {
                 End::Aborted => "stopped by the operator",
                 End::Halted => "stopped at once by the operator",
-                _ => "paused by the operator",
-            })?;
+                End::Paused | End::Finished => "paused by the operator",
+            };
+            self.journal_stop(reason)?;
             return Ok(self.summary(end, done));
+        }
+    }
+
+    fn stop(&mut self, end: End) -> Vec<String> {
+        self.at = None;
+        self.rig.make_safe(end == End::Halted)
+    }
+
+    /// After a pause: whatever was pressed in it may have reached the boards; unless they stand where they stood they are
+    /// stopped in order, and the next stretch begins from there.
+    fn take_up(&mut self) {
+        if self.rig.lamp_is_on() && self.rig.verify().is_err() {
+            for line in self.stop(End::Paused) {
+                self.operator.seen(&Seen::Note(&line));
+            }
         }
     }
 
@@ -421,9 +462,23 @@ impl Loop<'_, '_> {
         let read_back = self.rig.verify()?;
         let begun = self.clock.now();
         self.operator.seen(&Seen::Exposing(shot));
-        let (frame, exposed) = self
-            .expose(shot)
-            .context(|| format!("shot {}", describe(shot)))?;
+        let (frame, exposed) = match self.expose(shot) {
+            Ok(taken) => taken,
+            Err(error)
+                if !self.operator.urgent() && self.plan.refuse(shot.exposure_ms, &self.history) =>
+            {
+                let reason = error.report().replace('\n', "; ");
+                self.operator.seen(&Seen::Note(&format!(
+                    "shot {} left out: {reason}",
+                    describe(shot)
+                )));
+                self.outlook.renew(&self.plan, &self.history);
+                return Ok(());
+            }
+            Err(error) => {
+                return Err(Error::new(format!("shot {}", describe(shot))).with_source(error));
+            }
+        };
         // The shot counts only if nothing moved while the shutter was open.
         self.rig.verify()?;
         let record = FrameRecord {
@@ -502,12 +557,6 @@ impl Loop<'_, '_> {
             .append(self.elapsed(), Event::Stopped { reason })
     }
 
-    /// Ends an undisturbed capture before its end.
-    fn close(&mut self, reason: &str) -> Result<()> {
-        self.rig.lamp_off()?;
-        self.journal_stop(reason)
-    }
-
     /// Makes the rig safe and tells what happened and what is kept.
     fn give_up(&mut self, error: Error, frames_before: usize) -> Error {
         let done = self.rig.make_safe(false);
@@ -535,6 +584,16 @@ impl Loop<'_, '_> {
         ))
         .with_hint(hint)
         .with_source(error)
+    }
+}
+
+/// How a capture ends on this request; none when nothing needs to stop.
+fn asked_end(request: Request) -> Option<End> {
+    match request {
+        Request::Go | Request::Pause => None,
+        Request::PauseNow => Some(End::Paused),
+        Request::Abort => Some(End::Aborted),
+        Request::Halt => Some(End::Halted),
     }
 }
 

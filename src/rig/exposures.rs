@@ -8,8 +8,8 @@
 use super::description::{CameraDescription, Metering};
 use crate::session::{Exposedness, FrameRecord};
 
-/// A frame counts as clipped from here on; the measurement leaves out frames that reach it.
-pub const CLIPPED: f64 = 0.92;
+/// A frame counts as clipped from here on; a little below what the measurement leaves out (92 % of the white level).
+pub const CLIPPED: f64 = 0.9;
 /// Metering takes the longest exposure that is expected to stay below this.
 const AIM: f64 = 0.8;
 /// A pose is under-exposed while its brightest usable frame stays below this.

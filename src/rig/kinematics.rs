@@ -153,6 +153,19 @@ impl RigDescription {
         .with_hint("change the plan, or the limits in the rig file if the rig really reaches there")
     }
 
+    /// Where the axes stand parked, coming from `at`: those without a parking place stay, inside their limits (switches may
+    /// lie beyond them).
+    pub fn parked(&self, at: &AxisAngles) -> AxisAngles {
+        let mut angles = *at;
+        for name in AxisName::ALL {
+            if let Axis::Motor(motor) = self.axis(name) {
+                let stays = at.get(name).clamp(motor.min_deg, motor.max_deg);
+                angles.0[name as usize] = self.park_deg.get(&name).copied().unwrap_or(stays);
+            }
+        }
+        angles
+    }
+
     /// Checks angles right before they are sent; nothing that is not a number inside the limits gets through.
     ///
     /// # Errors

@@ -70,6 +70,10 @@ pub struct Rig<'a> {
     /// Where the axes were last verified to stand, and every board's position has been trusted since.
     at: Option<AxisAngles>,
     lamp_on: bool,
+    /// When the lamp's warm-up ends.
+    warm_at: f64,
+    /// When the axes will have settled after the last move.
+    settled_at: f64,
 }
 
 impl<'a> Rig<'a> {
@@ -113,6 +117,8 @@ impl<'a> Rig<'a> {
             wait_scale: connection.wait_scale,
             at: None,
             lamp_on: false,
+            warm_at: 0.0,
+            settled_at: 0.0,
         };
         if let Some(light) = &mut rig.light {
             light.check(description.lamp.power())?;
@@ -218,6 +224,10 @@ impl<'a> Rig<'a> {
         self.obey()
     }
 
+    fn wait_until(&mut self, end: f64) -> Step {
+        self.wait((end - self.clock.now()).max(0.0) / self.wait_scale)
+    }
+
     fn pause(&self, seconds: f64) -> Step {
         let end = self.clock.now() + seconds * self.wait_scale;
         loop {
@@ -314,18 +324,28 @@ impl<'a> Rig<'a> {
     pub fn move_to(&mut self, angles: &AxisAngles) -> Step<AxisAngles> {
         self.description.check_angles(angles)?;
         self.obey()?;
-        let from = match self.at {
-            Some(at) => at,
-            None => self.angles()?,
+        let (from, legs) = match self.at {
+            Some(at) => (at, self.description.path(&at, angles)?),
+            None => {
+                let from = self.angles()?;
+                (from, self.description.path_with_slack(&from, angles)?)
+            }
         };
-        let legs = self.description.path(&from, angles)?;
         let mut last = from;
         for leg in &legs {
             self.obey()?;
             self.go(&last, &leg.to)?;
             last = leg.to;
         }
-        self.wait(self.description.settle_ms_after(&from, &legs) / 1000.0)?;
+        let settle = self.description.settle_ms_after(&from, &legs) / 1000.0;
+        let settled_at = self.clock.now() + settle * self.wait_scale;
+        if settled_at >= self.settled_at {
+            self.settled_at = settled_at;
+            self.wait(settle)?;
+        } else {
+            // A pause may have cut the settling of the last move short.
+            self.wait_until(self.settled_at)?;
+        }
         Ok(self.verify()?)
     }
 
@@ -415,19 +435,22 @@ impl<'a> Rig<'a> {
             .ok_or_else(|| Error::new("the rig has no lamp output"))
     }
 
-    /// Switches the lamp on and waits for its warm-up, unless it is on.
+    /// Switches the lamp on, unless it is on, and waits for the end of its warm-up.
     ///
     /// # Errors
     /// The device fails, or the operator asked to end while the lamp warmed up; it is on then.
     pub fn lamp_on(&mut self) -> Step {
         if self.lamp_on {
-            return Ok(());
+            // A pause may have cut the warm-up short.
+            return self.wait_until(self.warm_at);
         }
         let power = self.description.lamp.power();
         // From here on it may be on, whatever the device answers.
         self.lamp_on = true;
         self.lamp()?.switch_on(power)?;
-        self.wait(self.description.lamp.warm_up_s)
+        let warm_up = self.description.lamp.warm_up_s;
+        self.warm_at = self.clock.now() + warm_up * self.wait_scale;
+        self.wait(warm_up)
     }
 
     /// Switches the lamp off, unless it is off.
@@ -451,19 +474,11 @@ impl<'a> Rig<'a> {
         if self.description.park_deg.is_empty() {
             return Ok(());
         }
-        let mut angles = match self.at {
+        let at = match self.at {
             Some(at) => at,
             None => self.angles()?,
         };
-        for name in AxisName::ALL {
-            if let Axis::Motor(motor) = self.description.axis(name) {
-                // Switches may lie beyond the limits.
-                let stays = angles.get(name).clamp(motor.min_deg, motor.max_deg);
-                let parked = self.description.park_deg.get(&name).copied();
-                angles.0[name as usize] = parked.unwrap_or(stays);
-            }
-        }
-        match self.move_to(&angles) {
+        match self.move_to(&self.description.parked(&at)) {
             Ok(_) => Ok(()),
             Err(Halt::Failed(error)) => Err(Error::new("cannot park").with_source(error).into()),
             Err(Halt::Cancelled) => Err(Halt::Cancelled),

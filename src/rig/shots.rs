@@ -200,16 +200,24 @@ pub fn plan_capture(rig: &RigDescription, plan: &Plan, order: Order) -> Result<C
     })
 }
 
-/// Every way of an undisturbed capture exists: from stop to stop, and to the reference pose and back.
+/// Every way of a capture exists: from stop to stop, to the reference pose and back, and to the parking place.
 fn check_ways(rig: &RigDescription, samples: &[Stop], reference: &AxisAngles) -> Result<()> {
     let mut from = reference;
     for stop in samples {
-        let ways = [(from, &stop.angles), (&stop.angles, reference)];
+        let ways = [
+            (from, &stop.angles),
+            (&stop.angles, reference),
+            (reference, &stop.angles),
+        ];
         for (from, to) in ways {
             rig.path(from, to)
                 .context(|| format!("configuration {}", stop.config.unwrap_or_default()))?;
         }
         from = &stop.angles;
+    }
+    if !rig.park_deg.is_empty() {
+        rig.path(from, &rig.parked(from))
+            .context(|| "the way to the parking place")?;
     }
     Ok(())
 }
@@ -233,6 +241,24 @@ impl CapturePlan {
         self.missing(&self.white, 0, history, &self.rule)
             .or_else(|| self.next_of_sample(history))
             .or_else(|| self.missing(&self.dark, 0, history, &self.dark_rule(history)))
+    }
+
+    /// The camera refused an exposure beyond the list: its range ends at what it has taken. False for an exposure of the
+    /// list, which is needed.
+    pub(super) fn refuse(&mut self, exposure_ms: f64, history: &History) -> bool {
+        let ladder = &self.rule.ladder_ms;
+        let (Some(&first), Some(&last)) = (ladder.first(), ladder.last()) else {
+            return false;
+        };
+        let taken = history.exposures();
+        if exposure_ms > last {
+            let longest = taken.iter().copied().filter(|e| *e < exposure_ms);
+            self.rule.range_ms[1] = longest.fold(last, f64::max);
+        } else if exposure_ms < first {
+            let shortest = taken.iter().copied().filter(|e| *e > exposure_ms);
+            self.rule.range_ms[0] = shortest.fold(first, f64::min);
+        }
+        !(first..=last).contains(&exposure_ms)
     }
 
     fn dark_rule(&self, history: &History) -> ExposureRule {
@@ -296,20 +322,18 @@ impl CapturePlan {
         let Some(stop) = &self.reference else {
             return self.rule.clone();
         };
-        let first = (0..visit)
-            .map(|v| history.at(stop, v))
-            .find(|frames| !frames.is_empty());
-        let Some(first) = first else {
-            return self.rule.clone();
-        };
         let usable = |f: &&&FrameRecord| {
             f.exposed
                 .is_none_or(|e| e.peak.iter().all(|p| *p < super::exposures::CLIPPED))
         };
+        // A visit that was cut short before it had a usable frame is no model.
+        let first = (0..visit)
+            .map(|v| history.at(stop, v))
+            .find(|frames| frames.iter().any(|f| usable(&f)));
+        let Some(first) = first else {
+            return self.rule.clone();
+        };
         let mut exposures: Vec<f64> = first.iter().filter(usable).map(|f| f.asked_ms()).collect();
-        if exposures.is_empty() {
-            exposures = first.iter().map(|f| f.asked_ms()).collect();
-        }
         exposures.sort_by(f64::total_cmp);
         exposures.dedup();
         self.rule.given(exposures)

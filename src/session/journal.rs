@@ -5,7 +5,7 @@ use super::plan::ConfigurationRow;
 use crate::base::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
-use std::io::{Read, Seek, Write};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 /// What a frame shows.
@@ -159,7 +159,7 @@ impl Journal {
         let what = || format!("journal {} cannot be opened", path.display());
         let mut file = OpenOptions::new()
             .read(true)
-            .write(true)
+            .append(true)
             .open(path)
             .context(what)?;
         own(&file, path)?;
@@ -167,7 +167,6 @@ impl Journal {
         file.read_to_end(&mut bytes).context(what)?;
         let (entries, whole) = parse(&bytes).context(|| format!("journal {}", path.display()))?;
         file.set_len(whole as u64).context(what)?;
-        file.seek(std::io::SeekFrom::End(0)).context(what)?;
         let journal = Self {
             file,
             path: path.to_owned(),
@@ -317,8 +316,14 @@ mod tests {
                     .contains("another process")
             );
             again.append(9.0, Event::Finished).unwrap();
+            // A write that the disk did not take whole is taken back; the next one follows the last whole line.
+            let whole = std::fs::metadata(&path).unwrap().len();
+            again.append(9.5, Event::Finished).unwrap();
+            again.next -= 1;
+            again.file.set_len(whole).unwrap();
+            again.append(9.5, frame(7)).unwrap();
             let entries = read_journal(&path).unwrap();
-            assert_eq!(entries.len(), lines + 1);
+            assert_eq!(entries.len(), lines + 2);
             assert_eq!(entries[lines].event, Event::Finished);
         }
     }

@@ -195,6 +195,11 @@ impl GrblModel {
         self.homed
     }
 
+    /// True while it looks for its switches.
+    pub fn is_homing(&self) -> bool {
+        self.homing_until.is_some()
+    }
+
     /// True while an axis moves.
     pub fn is_moving(&self) -> bool {
         self.motion.is_some() || self.homing_until.is_some()

@@ -35,6 +35,19 @@ impl RigDescription {
     /// An angle is not a number or outside its limits, `to` is inside the margin, backlash leaves no room at a limit, or no
     /// free way is found.
     pub fn path(&self, from: &AxisAngles, to: &AxisAngles) -> Result<Vec<Leg>> {
+        self.way(from, to, false)
+    }
+
+    /// As [`RigDescription::path`], when nobody knows on which side the play of the gears lies (after homing, or a stop on
+    /// the way): every axis with backlash ends in its direction of approach, also one that stands at its target.
+    ///
+    /// # Errors
+    /// As [`RigDescription::path`].
+    pub fn path_with_slack(&self, from: &AxisAngles, to: &AxisAngles) -> Result<Vec<Leg>> {
+        self.way(from, to, true)
+    }
+
+    fn way(&self, from: &AxisAngles, to: &AxisAngles, slack: bool) -> Result<Vec<Leg>> {
         if let Some(name) = AxisName::ALL
             .into_iter()
             .find(|n| !from.get(*n).is_finite())
@@ -53,16 +66,19 @@ impl RigDescription {
             return Err(too_near("pose inside the clearance margin", &contact));
         }
         let mut end = self.without_small_moves(&from, &to);
-        if planner.pose_contact(&end).is_some() {
+        let slack = slack && self.play().next().is_some();
+        if slack || planner.pose_contact(&end).is_some() {
             end = to;
         }
-        if end == from {
+        if end == from && !slack {
             return Ok(vec![Leg { to: end }]);
         }
         // Axes that come from the far side of their target. A detour may turn further axes round.
         let mut overshoot: Vec<AxisName> = self
             .play()
-            .filter(|(name, m)| (end.get(*name) - from.get(*name)) * m.approach < -ROUNDING_DEG)
+            .filter(|(name, m)| {
+                slack || (end.get(*name) - from.get(*name)) * m.approach < -ROUNDING_DEG
+            })
             .map(|(name, _)| name)
             .collect();
         loop {
