@@ -140,7 +140,7 @@ fn a_rig_file_with_senseless_bodies_is_refused_with_the_place() {
         ),
         (
             margin(5.0) + &good + &sphere("bulb", "light_azimuth", [0.0, 0.0, 110.0], 20.0),
-            "white reference geometry: pose inside the clearance margin: 'lens' and 'bulb' are -30.00 mm apart, margin 5 mm",
+            "white reference geometry: pose inside the clearance margin: 'lens' and 'bulb' overlap by 30.00 mm",
         ),
     ];
     for (bodies, expected) in cases {

@@ -279,10 +279,11 @@ fn a_second_interrupt_stops_the_motion_and_the_position_is_kept() {
 fn a_third_interrupt_halts_without_waiting_for_standstill() {
     let mut scene = Scene::new(&[("feed_deg_per_min", "20.0"), ("settle_ms", "1")]);
     scene.wait_until_heard("G4P0.01");
-    for _ in 0..3 {
-        scene.capture.signal(Signal::INT);
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    scene.capture.signal(Signal::INT);
+    scene.wait_until_said("press Ctrl-C again to stop the rig now");
+    scene.capture.signal(Signal::INT);
+    scene.wait_until_said("a third Ctrl-C halts it");
+    scene.capture.signal(Signal::INT);
     assert_eq!(scene.capture.code_within(PROMPT), 4);
     let heard = scene.heard();
     assert!(heard.contains('\x18') && dark(&heard), "{heard:?}");

@@ -7,6 +7,7 @@ mod rig;
 
 use super::Outcome;
 use super::output::data;
+use super::ports::override_ports;
 use crate::base::Result;
 use crate::rig::RigDescription;
 use crate::session::Plan;
@@ -33,6 +34,9 @@ pub(crate) struct Arguments {
     /// Plan to check against the rig's limits
     #[arg(long, value_name = "P.toml", requires = "rig")]
     plan: Option<PathBuf>,
+    /// Port of a device instead of the rig file's: PATH, or BOARD=PATH (or lamp=PATH) for each
+    #[arg(long, value_name = "[BOARD=]PATH", requires = "rig")]
+    port: Vec<String>,
     /// Where the session shall go
     #[arg(long, value_name = "DIR", default_value = ".")]
     out: PathBuf,
@@ -114,10 +118,13 @@ impl Findings {
 
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
     let mut of_rig = Findings::new("rig");
-    let rig = arguments
-        .rig
-        .as_deref()
-        .and_then(|path| RigDescription::read(path).map_err(|e| of_rig.fail(&e)).ok());
+    let rig = arguments.rig.as_deref().and_then(|path| {
+        let read = RigDescription::read(path).and_then(|mut rig| {
+            override_ports(&mut rig, &arguments.port)?;
+            Ok(rig)
+        });
+        read.map_err(|e| of_rig.fail(&e)).ok()
+    });
     let plan = arguments
         .plan
         .as_deref()

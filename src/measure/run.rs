@@ -11,7 +11,7 @@ use super::visit::read_lamp;
 use super::white::{TERMS, White};
 use crate::base::{Context, Error, Result, Watch};
 use crate::session::{
-    Configuration, Coverage, FrameKind, Intensity, Manifest, Measurements, Projection,
+    Configuration, Coverage, Event, FrameKind, Intensity, Manifest, Measurements, Projection,
     SessionFolder, read_journal,
 };
 use rayon::prelude::*;
@@ -44,8 +44,10 @@ pub fn measure_session(
 ) -> Result<(Measurements, MeasureReport)> {
     let manifest = session.manifest()?;
     let plan = session.plan()?;
-    let frames = taken(read_journal(&session.journal_path())?);
-    check_frames(&frames, |id| plan.configuration(id).is_some())?;
+    let journal = read_journal(&session.journal_path())?;
+    let finished = journal.iter().any(|e| e.event == Event::Finished);
+    let frames = taken(journal);
+    check_frames(&frames, finished, |id| plan.configuration(id).is_some())?;
     let coverages = plan
         .configurations
         .iter()
@@ -137,7 +139,7 @@ pub fn measure_session(
     Ok((Measurements { intensities }, report))
 }
 
-fn check_frames(frames: &[Taken], known: impl Fn(u32) -> bool) -> Result<()> {
+fn check_frames(frames: &[Taken], finished: bool, known: impl Fn(u32) -> bool) -> Result<()> {
     let records = || frames.iter().map(|f| &f.record);
     for record in records().filter(|r| r.kind == FrameKind::Sample) {
         if !record.config.is_some_and(&known) {
@@ -154,9 +156,11 @@ fn check_frames(frames: &[Taken], known: impl Fn(u32) -> bool) -> Result<()> {
                 "the session has no {} frames",
                 kind.name()
             ))
-            .with_hint(
-                "a session needs sample frames, white frames, and dark frames of every exposure used",
-            ));
+            .with_hint(if finished {
+                "a session needs sample frames, white frames, and dark frames of every exposure used"
+            } else {
+                "the capture did not finish: go on with it (`goniofit capture --resume DIR`), then measure"
+            }));
         }
     }
     Ok(())

@@ -305,10 +305,7 @@ impl Loop<'_, '_> {
             };
             let mut done = Vec::new();
             let mut end = match (asked_end(self.operator.request()), error) {
-                (Some(end), _) => {
-                    done = self.stop(end);
-                    end
-                }
+                (Some(end), _) => self.stop_as_asked(end, &mut done),
                 (None, Some(error)) => return Err(self.give_up(error, frames_before)),
                 (None, None) => End::Paused,
             };
@@ -319,8 +316,7 @@ impl Loop<'_, '_> {
                 }
                 // The pause itself may have ended in something more urgent, and the boards have heard of it already.
                 if let Some(more) = asked_end(self.operator.request()) {
-                    end = more;
-                    done = self.stop(end);
+                    end = self.stop_as_asked(more, &mut done);
                 }
             }
             if let Err(error) = self.rig.lamp_off() {
@@ -335,6 +331,16 @@ impl Loop<'_, '_> {
             self.journal_stop(reason)?;
             return Ok(self.summary(end, done));
         }
+    }
+
+    /// Stops; a halt that is asked for meanwhile is obeyed too. Returns what it came to.
+    fn stop_as_asked(&mut self, end: End, done: &mut Vec<String>) -> End {
+        done.extend(self.stop(end));
+        if end != End::Halted && self.operator.request() == Request::Halt {
+            done.extend(self.stop(End::Halted));
+            return End::Halted;
+        }
+        end
     }
 
     fn stop(&mut self, end: End) -> Vec<String> {
@@ -389,6 +395,10 @@ impl Loop<'_, '_> {
             self.history.begin_stretch();
         }
         self.outlook.renew(&self.plan, &self.history);
+        self.operator.seen(&Seen::Begins {
+            frames: self.history.len() + self.outlook.frames_left(),
+            seconds: self.outlook.seconds_left(),
+        });
         while let Some(planned) = self.plan.next(&self.history) {
             let taken = self.history.len() as u64;
             let all = taken + self.outlook.frames_left() as u64;

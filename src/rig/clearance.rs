@@ -29,11 +29,16 @@ pub struct Contact {
 
 impl fmt::Display for Contact {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "'{}' and '{}' are {:.2} mm apart, margin {} mm, at",
-            self.a, self.b, self.distance_mm, self.margin_mm
-        )?;
+        let (a, b, d) = (&self.a, &self.b, self.distance_mm);
+        if d < 0.0 {
+            write!(f, "'{a}' and '{b}' overlap by {:.2} mm, at", -d)?;
+        } else {
+            let margin = self.margin_mm;
+            write!(
+                f,
+                "'{a}' and '{b}' are {d:.2} mm apart, margin {margin} mm, at"
+            )?;
+        }
         for (i, name) in AxisName::ALL.into_iter().enumerate() {
             let comma = if i == 0 { "" } else { "," };
             write!(f, "{comma} {} {:.2}", name.name(), self.at.get(name))?;

@@ -23,6 +23,14 @@ pub enum Request {
 /// What the loop is doing, for whoever shows it.
 #[derive(Debug)]
 pub enum Seen<'a> {
+    /// Work begins, the first time or after an interruption: frames there will be, those on disk included, and seconds to
+    /// the end, as far as is known.
+    Begins {
+        /// Frames.
+        frames: usize,
+        /// Seconds.
+        seconds: f64,
+    },
     /// The way to the pose of this shot begins; it will take about this many seconds.
     Moving(&'a Shot, f64),
     /// The lamp warms up for this many seconds.

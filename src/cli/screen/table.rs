@@ -249,6 +249,11 @@ impl Table {
                 self.status = format!("moving, about {seconds:.0} s");
                 self.enter(shot, State::Moving)
             }
+            Seen::Begins { frames, seconds } => {
+                self.frames_planned = *frames;
+                self.remaining = Some((*seconds, elapsed));
+                None
+            }
             Seen::WarmingUp(seconds) => {
                 self.status = format!("lamp warming up, {seconds:.0} s");
                 Some(self.status.clone())
@@ -320,12 +325,16 @@ impl Table {
         let Some(row) = self.rows.iter_mut().find(|r| r.place == place) else {
             return;
         };
-        if let Some(exposed) = taken.record.exposed {
-            row.mean = Some(exposed.mean);
-        }
         row.frames += 1;
         let peaks = taken.record.exposed.map_or([0.0; 3], |e| e.peak);
-        row.unclipped += usize::from(peaks.iter().all(|p| *p < CLIPPED));
+        let unclipped = peaks.iter().all(|p| *p < CLIPPED);
+        // A bracket's longest exposure may clip as it should: the brightest that does not is what counts.
+        if let Some(exposed) = taken.record.exposed
+            && (unclipped || row.unclipped == 0)
+        {
+            row.mean = Some(exposed.mean);
+        }
+        row.unclipped += usize::from(unclipped);
         let ms = taken.shot.exposure_ms;
         if !row.exposures_ms.iter().any(|e| (e - ms).abs() < 1e-9) {
             row.exposures_ms.push(ms);

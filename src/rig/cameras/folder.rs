@@ -155,6 +155,15 @@ impl<'a> FolderCamera<'a> {
     }
 }
 
+/// An exposure time as cameras write it.
+fn shutter(exposure_ms: f64) -> String {
+    if exposure_ms < 400.0 {
+        format!("1/{:.0} s", 1000.0 / exposure_ms)
+    } else {
+        format!("{} s", exposure_ms / 1000.0)
+    }
+}
+
 impl Camera for FolderCamera<'_> {
     fn facts(&self) -> CameraFacts {
         self.facts.clone()
@@ -163,11 +172,12 @@ impl Camera for FolderCamera<'_> {
     fn expose(&mut self, shot: &Shot) -> Result<CapturedFrame> {
         let old: BTreeSet<PathBuf> = raw_files(&self.folder)?.raw.into_iter().collect();
         (self.wiring.say)(&format!(
-            "take one RAW picture of {} at {} ms (1/{:.4} s); it is awaited in {}",
+            "take one RAW picture of {} at {} ms ({}) now; it is awaited in {}, where the {} files there are ignored",
             shot.kind.name(),
             shot.exposure_ms,
-            1000.0 / shot.exposure_ms,
-            self.folder.display()
+            shutter(shot.exposure_ms),
+            self.folder.display(),
+            old.len()
         ));
         let limit = WAIT + 2.0 * shot.exposure_ms / 1000.0;
         let (path, bytes) = self.wait_for_file(&old, limit)?;

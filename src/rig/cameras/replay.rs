@@ -59,10 +59,11 @@ impl Camera for ReplayCamera {
         });
         let (record, used) = found.ok_or_else(|| {
             Error::new(format!(
-                "the recorded session {} has no (further) {:?} frame of configuration {:?}, exposure {} ms, repeat {}",
+                "the recorded session {} has no (further) {} frame{}, exposure {} ms, repeat {}",
                 self.session.root().display(),
-                shot.kind,
-                shot.config,
+                shot.kind.name(),
+                shot.config
+                    .map_or(String::new(), |c| format!(" of configuration {c}")),
                 shot.exposure_ms,
                 shot.repeat
             ))
