@@ -3,12 +3,15 @@
 //! One named test for each fault of the controller model, in process on a virtual clock; and controllers that lie.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
-use goniofit::base::{Result, Unwatched};
+use goniofit::base::{Result, Unwatched, Watch};
 use goniofit::rig::{
-    Clock, Fault, FaultKind, Flavor, Grbl, GrblModel, ModelOptions, ModelTransport, Motion,
-    SharedModel, Target, Transport, VirtualClock,
+    AxisAngles, Clock, Connection, Fault, FaultKind, Flavor, Grbl, GrblModel, Halt, ModelOptions,
+    ModelTransport, Motion, Rig, RigDescription, SharedModel, Target, Transport, VirtualClock,
 };
+use std::collections::BTreeMap;
 use std::io;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 fn x(units: f64) -> [Target; 1] {
@@ -298,4 +301,305 @@ fn the_dump_is_what_the_board_said_line_by_line() {
         assert!(dump.iter().any(|l| l == line), "{line}");
     }
     assert!(dump.iter().any(|l| l.starts_with("[GC:G0 G54")));
+}
+
+// -- damaged on its way to the board ------------------------------------------------------------------------------------
+
+/// A cable that changes what is written, once in a while.
+struct Mangle<F> {
+    inner: ModelTransport,
+    change: F,
+}
+
+impl<F: FnMut(&[u8]) -> Vec<u8> + Send> Transport for Mangle<F> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let bytes = (self.change)(bytes);
+        self.inner.write(&bytes)
+    }
+    fn read(&mut self, buffer: &mut [u8], timeout: f64) -> io::Result<usize> {
+        self.inner.read(buffer, timeout)
+    }
+}
+
+/// A board at rest behind a cable; `change` sees all that is written.
+fn behind(
+    flavor: Flavor,
+    watch: &'static dyn Watch,
+    change: impl FnMut(&[u8]) -> Vec<u8> + Send + 'static,
+) -> (Arc<VirtualClock>, SharedModel, Grbl<'static>) {
+    let clock = Arc::new(VirtualClock::new());
+    let model: SharedModel = Arc::new(Mutex::new(GrblModel::new(ModelOptions::rig(flavor))));
+    let inner = ModelTransport::new(model.clone(), clock.clone());
+    let cable = Box::new(Mangle { inner, change });
+    let grbl = Grbl::connect("main", cable, clock.clone(), watch).unwrap();
+    (clock, model, grbl)
+}
+
+/// Replaces the first `$H`.
+fn homed_by(flavor: Flavor, replacement: Vec<u8>) -> (SharedModel, Result<()>, Grbl<'static>) {
+    let mut done = false;
+    let (_, model, mut grbl) = behind(flavor, &Unwatched, move |bytes| {
+        if bytes == b"$H\n" && !std::mem::replace(&mut done, true) {
+            replacement.clone()
+        } else {
+            bytes.to_vec()
+        }
+    });
+    let result = grbl.home();
+    (model, result, grbl)
+}
+
+#[test]
+fn no_flipped_bit_of_a_homing_command_passes_for_homing() {
+    for flavor in [Flavor::Grbl, Flavor::GrblHal] {
+        let mut homed = 0;
+        for bit in 0..24 {
+            let mut line = b"$H\n".to_vec();
+            line[bit / 8] ^= 1 << (bit % 8);
+            let (model, result, mut grbl) = homed_by(flavor, line.clone());
+            let ran = model.lock().unwrap().is_homed();
+            assert_eq!(result.is_ok(), grbl.is_homed());
+            assert!(ran || result.is_err(), "{flavor:?} {line:?}");
+            homed += u32::from(ran);
+            if result.is_err() {
+                assert!(grbl.start_move(&x(-5.0)).is_err(), "{flavor:?} {line:?}");
+                // It recovers.
+                grbl.make_safe(false).unwrap();
+                grbl.home().unwrap();
+            }
+        }
+        // The control: 'h' is 'H' to the board.
+        assert!((1..4).contains(&homed), "{homed} of 24 homed");
+    }
+}
+
+#[test]
+fn an_ok_without_a_homing_cycle_is_told() {
+    for (flavor, other, reason) in [
+        (
+            Flavor::Grbl,
+            "$X\n",
+            "it answered '[MSG:Caution: Unlocked]' to '$H'",
+        ),
+        (
+            Flavor::Grbl,
+            "$I\n",
+            "it answered '[VER:1.1h.20190830:]' to '$H'",
+        ),
+        (Flavor::Grbl, "\n", "state Alarm where Idle was expected"),
+        (Flavor::GrblHal, "$X\n", "refused '$H' with error:46"),
+        (Flavor::GrblHal, "$G\n", "it answered '[GC:"),
+        (Flavor::GrblHal, "\n", "state Alarm where Idle was expected"),
+    ] {
+        let (_, result, _) = homed_by(flavor, other.into());
+        let error = result.unwrap_err().report();
+        assert!(error.contains(reason), "{other}: {error}");
+    }
+    // Unlocked, it stands where it was switched on.
+    let (_, _, mut grbl) = behind(Flavor::Grbl, &Unwatched, |bytes| {
+        let homes = bytes == b"$H\n";
+        if homes {
+            b"\n".to_vec()
+        } else {
+            bytes.to_vec()
+        }
+    });
+    grbl.trust_position().unwrap();
+    let error = grbl.home().unwrap_err().report();
+    assert!(
+        error.contains("axis X stands at 0.0000, not 1 ($27) from an end"),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_ok_at_once_from_a_grbl_that_stands_where_it_homed_earlier_is_told() {
+    let mut count = 0;
+    let (_, _, mut grbl) = behind(Flavor::Grbl, &Unwatched, move |bytes| {
+        count += u32::from(bytes == b"$H\n");
+        if bytes == b"$H\n" && count == 2 {
+            b"$X\n".to_vec()
+        } else {
+            bytes.to_vec()
+        }
+    });
+    grbl.home().unwrap();
+    let error = grbl.home().unwrap_err().report();
+    assert!(error.contains("no homing cycle has run"), "{error}");
+    assert!(!grbl.is_homed());
+    // The control: the third is whole.
+    grbl.make_safe(false).unwrap();
+    grbl.home().unwrap();
+    assert!(grbl.is_homed());
+}
+
+/// Where the X axis is now.
+fn place(model: &SharedModel, clock: &VirtualClock) -> f64 {
+    let mut model = model.lock().unwrap();
+    model.receive(b"", clock.now());
+    model.position()[0]
+}
+
+#[test]
+fn a_lost_hold_is_sent_again() {
+    for flavor in [Flavor::Grbl, Flavor::GrblHal] {
+        let mut lost = false;
+        let (clock, model, mut grbl) = behind(flavor, &Unwatched, move |bytes| {
+            if bytes == b"!" && !std::mem::replace(&mut lost, true) {
+                Vec::new()
+            } else {
+                bytes.to_vec()
+            }
+        });
+        grbl.home().unwrap();
+        grbl.start_move(&x(-300.0)).unwrap();
+        clock.sleep(1.0);
+        let (start, from) = (clock.now(), place(&model, &clock));
+        grbl.brake();
+        let done = grbl.make_safe(false).unwrap();
+        assert!(done.contains("position kept"), "{done}");
+        let way = from - place(&model, &clock);
+        assert!((0.0..2.0).contains(&way), "{flavor:?}: it went on by {way}");
+        // Half a second, and the reset after it.
+        assert!(clock.now() - start < 0.8, "{}", clock.now() - start);
+    }
+}
+
+/// A request to stop at once.
+struct Now(AtomicBool);
+
+impl Watch for Now {
+    fn progress(&self, _: &str, _: u64, _: u64) {}
+    fn cancelled(&self) -> bool {
+        self.urgent()
+    }
+    fn urgent(&self) -> bool {
+        self.0.load(Ordering::SeqCst)
+    }
+}
+
+#[test]
+fn a_stop_in_the_first_move_after_a_stop_brakes_too() {
+    for flavor in [Flavor::Grbl, Flavor::GrblHal] {
+        let now: &'static Now = Box::leak(Box::new(Now(AtomicBool::new(false))));
+        let mut moves = 0;
+        let (clock, model, mut grbl) = behind(flavor, now, move |bytes| {
+            moves += u32::from(bytes.starts_with(b"G21"));
+            // While the second move line is on its way.
+            now.0.fetch_or(moves == 2, Ordering::SeqCst);
+            bytes.to_vec()
+        });
+        grbl.home().unwrap();
+        grbl.start_move(&x(-300.0)).unwrap();
+        clock.sleep(1.0);
+        grbl.make_safe(false).unwrap();
+        assert!(grbl.start_move(&x(-300.0)).is_err());
+        let (start, from) = (clock.now(), place(&model, &clock));
+        grbl.brake();
+        grbl.make_safe(false).unwrap();
+        let way = from - place(&model, &clock);
+        assert!((0.0..2.0).contains(&way), "{flavor:?}: it went on by {way}");
+        assert!(clock.now() - start < 0.8, "{}", clock.now() - start);
+    }
+}
+
+#[test]
+fn a_lamp_left_on_is_off_after_connecting() {
+    for flavor in [Flavor::Grbl, Flavor::GrblHal] {
+        for lit in [true, false] {
+            let clock = Arc::new(VirtualClock::new());
+            let mut options = ModelOptions::rig(flavor);
+            options.settings.extend([(22, 0.0), (20, 0.0)]);
+            let model: SharedModel = Arc::new(Mutex::new(GrblModel::new(options)));
+            clock.advance_to(6.0);
+            {
+                let mut model = model.lock().unwrap();
+                model.take_output(5.0);
+                model.receive(if lit { b"M4S900\n" } else { b"M5S900\n" }, 5.0);
+                model.take_output(6.0);
+                assert_eq!(model.spindle_on(), lit);
+            }
+            let cable = Box::new(ModelTransport::new(model.clone(), clock.clone()));
+            let mut grbl = Grbl::connect("main", cable, clock, &Unwatched).unwrap();
+            assert!(!model.lock().unwrap().spindle_on());
+            let notes = grbl.take_notes().join("\n");
+            assert_eq!(notes.contains("its lamp was on: switched off"), lit);
+        }
+    }
+}
+
+// -- two boards ---------------------------------------------------------------------------------------------------------
+
+type Boards = (Arc<VirtualClock>, BTreeMap<String, SharedModel>);
+
+fn two_boards(fault: Option<Fault>) -> (RigDescription, Boards) {
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    let rig = RigDescription::read(&root.join("rig_configs/two_board_grbl.toml")).unwrap();
+    let models = rig.boards.iter().map(|b| {
+        let mut options = goniofit::rig::simulated::model_options(&rig, b);
+        if b.name == "light" {
+            options.faults.extend(fault);
+        }
+        let model = Arc::new(Mutex::new(GrblModel::new(options)));
+        (b.name.clone(), model as SharedModel)
+    });
+    let models = models.collect();
+    (rig, (Arc::new(VirtualClock::new()), models))
+}
+
+fn connection((clock, models): &Boards) -> Connection<'static> {
+    let (models, clock) = (models.clone(), clock.clone());
+    let time = clock.clone();
+    Connection {
+        open: Box::new(move |port| {
+            let model = models[&port.name].clone();
+            Ok(Box::new(ModelTransport::new(model, time.clone())) as Box<dyn Transport>)
+        }),
+        clock,
+        wait_scale: 1.0,
+    }
+}
+
+#[test]
+fn a_fault_of_one_board_is_noticed_while_another_is_on_its_way() {
+    // The second move of the light's board: its digit arrives wrong, or its alarm comes halfway of a short way.
+    for (kind, reason) in [
+        (
+            FaultKind::CorruptDigit('2'),
+            "board 'light': axis X stands at",
+        ),
+        (FaultKind::Alarm(1), "board 'light': ALARM:1"),
+    ] {
+        let (description, boards) = two_boards(Some(Fault { on_move: 2, kind }));
+        let mut connection = connection(&boards);
+        let mut rig = Rig::connect(&description, &mut connection, &Unwatched).unwrap();
+        rig.home(&mut |_| Ok(())).unwrap();
+        rig.move_to(&AxisAngles([0.0, -90.0, 5.0, 0.0, 0.0]))
+            .unwrap();
+        let start = boards.0.now();
+        let halt = rig
+            .move_to(&AxisAngles([0.0, 90.0, 5.0, 1.0, 0.0]))
+            .unwrap_err();
+        let Halt::Failed(error) = halt else {
+            panic!("{halt:?}")
+        };
+        assert!(error.report().contains(reason), "{}", error.report());
+        let seconds = boards.0.now() - start;
+        assert!(seconds < 0.5, "{reason}: noticed after {seconds}");
+        for line in rig.make_safe(false) {
+            assert!(!line.is_empty());
+        }
+        assert!(boards.1.values().all(|m| !m.lock().unwrap().is_moving()));
+    }
+    // The control.
+    let (description, boards) = two_boards(None);
+    let mut connection = connection(&boards);
+    let mut rig = Rig::connect(&description, &mut connection, &Unwatched).unwrap();
+    rig.home(&mut |_| Ok(())).unwrap();
+    rig.move_to(&AxisAngles([0.0, -90.0, 5.0, 0.0, 0.0]))
+        .unwrap();
+    let start = boards.0.now();
+    rig.move_to(&AxisAngles([0.0, 90.0, 5.0, 1.0, 0.0]))
+        .unwrap();
+    assert!(boards.0.now() - start > 2.0);
 }

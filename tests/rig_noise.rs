@@ -52,6 +52,7 @@ fn dialogue(pieces: &[&str]) -> Vec<WireEntry> {
 
 const MOVE: &str = ">G21G90G94G53G1X10.0000F600.0\n";
 const IDLE: &str = "<<Idle|MPos:0.000,0.000,0.000|FS:0,0>\r\n";
+const HOME: &str = "<<Idle|MPos:-1.000,-1.000,-1.000|FS:0,0>\r\n";
 const THERE: &str = "<<Idle|MPos:10.000,0.000,0.000|FS:0,0>\r\n";
 
 /// Connects and takes the position as known, over the dialogue that goes on with `pieces`.
@@ -238,7 +239,7 @@ fn homing_is_repeated_once_after_a_garbled_answer_and_not_after_an_alarm() {
         ">$H\n",
         "<ok\r\n",
         ">?",
-        IDLE,
+        HOME,
         ">M5\n",
         "<ok\r\n",
     ]);
@@ -268,10 +269,10 @@ fn a_damaged_banner_or_alarm_is_never_taken_for_noise() {
 #[test]
 fn a_grblhal_that_says_it_is_not_homed_any_more_is_believed() {
     let lost = "<<Idle|MPos:0.000,0.000,0.000|FS:0,0|H:0>\r\n";
-    let home = [">$H\n", "<ok\r\n", ">?", IDLE, ">M5\n", "<ok\r\n"];
+    let home = [">$H\n", "<ok\r\n", ">?", HOME, ">M5\n", "<ok\r\n"];
     let (replay, mut grbl) = trusted(&[&home[..], &[">?", lost]].concat());
     grbl.home().unwrap();
-    let error = grbl.verify_at(&x(0.0)).unwrap_err().report();
+    let error = grbl.verify_at(&x(-1.0)).unwrap_err().report();
     assert!(error.contains("not homed any more (H:0)"), "{error}");
     replay.finish().unwrap();
     // Homed by the operator's word it never was by its own.

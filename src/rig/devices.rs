@@ -106,6 +106,14 @@ pub trait Motion {
     /// It takes longer than `timeout` seconds, leaves its way, or ends elsewhere; call [`Motion::make_safe`].
     fn finish_move(&mut self, targets: &[Target], timeout: f64) -> Result<Vec<f64>>;
 
+    /// Looks once at a started move, in a fraction of a second, and returns true when nothing moves any more. For whoever
+    /// has several controllers to watch; [`Motion::finish_move`] must follow.
+    ///
+    /// # Errors
+    /// An axis has left its way, or the controller is in a state in which the move will not end; call
+    /// [`Motion::make_safe`].
+    fn look_on_the_way(&mut self) -> Result<bool>;
+
     /// Checks that the controller is at rest at `targets`; returns the positions read back.
     ///
     /// # Errors

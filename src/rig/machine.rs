@@ -1,6 +1,7 @@
 //! The connected rig: all boards and the lamp together, in angles.
 
 mod by_hand;
+mod together;
 
 use super::board_check::check_settings;
 use super::description::{Axis, AxisName, Homing, Port, RigDescription};
@@ -349,7 +350,7 @@ impl<'a> Rig<'a> {
         Ok(self.verify()?)
     }
 
-    /// One leg: all boards start, then all are waited for.
+    /// One leg: all boards start, all are watched in turns until none moves, then each verifies where it stands.
     fn go(&mut self, from: &AxisAngles, to: &AxisAngles) -> Result<()> {
         self.description.check_angles(to)?;
         // Until the end is verified nobody knows where the axes stand.
@@ -364,6 +365,8 @@ impl<'a> Rig<'a> {
                 started.push((i, targets));
             }
         }
+        let moving: Vec<usize> = started.iter().map(|(i, _)| *i).collect();
+        self.watch_together(&moving, timeout)?;
         for (i, targets) in started {
             self.boards[i].finish_move(&targets, timeout)?;
         }

@@ -9,10 +9,13 @@ use super::drivers;
 use super::machine::Connection;
 use super::transport::{Clock, Transport};
 use crate::base::{Error, Result, Watch};
+use std::io;
 use std::sync::Arc;
 
 /// Seconds to wait for the state a board was found in.
 const FIRST_ANSWER: f64 = 0.4;
+/// Seconds to listen to one of them at a time.
+const TURN: f64 = 0.02;
 
 /// What became of one device.
 #[derive(Debug)]
@@ -31,12 +34,13 @@ pub fn stop_all(
     watch: &dyn Watch,
 ) -> Vec<Stopped> {
     let clock = connection.clock.clone();
-    let mut opened = Vec::new();
+    let mut opened: Vec<(&Board, Result<Braked>)> = Vec::new();
     for board in &description.boards {
-        let braked = (connection.open)(&board.connection())
-            .and_then(|transport| brake(board, transport, clock.as_ref()));
+        let braked =
+            (connection.open)(&board.connection()).and_then(|transport| brake(board, transport));
         opened.push((board, braked));
     }
+    hear_first_states(&mut opened, clock.as_ref());
     let light = drivers::light(&description.lamp.output, |port: &Port| {
         Ok(Wiring {
             name: port.name.clone(),
@@ -59,8 +63,9 @@ pub fn stop_all(
     }
     done.extend(opened.into_iter().map(|(board, braked)| Stopped {
         device: board.name.clone(),
-        outcome: braked.and_then(|(transport, found)| {
-            let rest = settle(board, transport, &clock, watch, found.is_none())?;
+        outcome: braked.and_then(|braked| {
+            let found = braked.found;
+            let rest = settle(board, braked.transport, &clock, watch, found.is_none())?;
             let found = found.unwrap_or_else(|| "silent".to_owned());
             Ok(format!("was {found}; {rest}"))
         }),
@@ -68,43 +73,84 @@ pub fn stop_all(
     done
 }
 
-/// Sends the brake before anything else, and reads the state the board was in, if it says so.
-fn brake(
-    board: &Board,
-    mut transport: Box<dyn Transport>,
-    clock: &dyn Clock,
-) -> Result<(Box<dyn Transport>, Option<String>)> {
-    let failed = |e: std::io::Error| {
-        Error::new(format!("board '{}' cannot be told to stop", board.name))
-            .with_hint("cut the motors' power")
-            .with_source(e)
-    };
-    match board.protocol {
-        Protocol::Grbl => transport.write(b"?!").map_err(failed)?,
-        Protocol::Zaber => {
-            transport.write(b"/stop\n").map_err(failed)?;
-            return Ok((transport, Some("told to stop".to_owned())));
-        }
-    }
+/// A board that was told to brake.
+struct Braked {
+    transport: Box<dyn Transport>,
+    heard: Vec<u8>,
+    /// The state it was in, if it said so.
+    found: Option<String>,
+    /// All that can be done at once is done.
+    done: bool,
+}
+
+/// Sends the brake before anything else.
+fn brake(board: &Board, mut transport: Box<dyn Transport>) -> Result<Braked> {
+    let is_zaber = board.protocol == Protocol::Zaber;
+    let bytes: &[u8] = if is_zaber { b"/stop\n" } else { b"?!" };
+    transport.write(bytes).map_err(|e| cannot_stop(board, e))?;
+    Ok(Braked {
+        transport,
+        heard: Vec::new(),
+        found: is_zaber.then(|| "told to stop".to_owned()),
+        done: is_zaber,
+    })
+}
+
+fn cannot_stop(board: &Board, e: io::Error) -> Error {
+    Error::new(format!("board '{}' cannot be told to stop", board.name))
+        .with_hint("cut the motors' power")
+        .with_source(e)
+}
+
+/// Listens to all boards in turns for the state each was in when it was told to brake. One that is homing obeys no hold,
+/// and one in a critical alarm answers nothing: only a reset is left for them.
+fn hear_first_states(boards: &mut [(&Board, Result<Braked>)], clock: &dyn Clock) {
     let deadline = clock.now() + FIRST_ANSWER;
-    let mut heard = Vec::new();
-    while clock.now() < deadline {
-        let mut buffer = [0; 512];
-        if let Ok(n) = transport.read(&mut buffer, deadline - clock.now())
-            && n > 0
-        {
-            heard.extend_from_slice(&buffer[..n]);
-        }
-        if let Some(state) = state_in(&heard) {
-            if state.starts_with("Home") {
-                break;
+    loop {
+        let late = clock.now() >= deadline;
+        let mut waiting = false;
+        for (board, result) in boards.iter_mut() {
+            let Ok(braked) = result else { continue };
+            if braked.done {
+                continue;
             }
-            return Ok((transport, Some(state)));
+            match braked.listen(late) {
+                Ok(()) => waiting |= !braked.done,
+                Err(e) => *result = Err(cannot_stop(board, e)),
+            }
+        }
+        if late || !waiting {
+            return;
         }
     }
-    // Homing obeys no hold, and a critical alarm answers nothing: only a reset is left.
-    transport.write(b"\x18").map_err(failed)?;
-    Ok((transport, state_in(&heard)))
+}
+
+impl Braked {
+    /// Reads what has come; resets a board that needs it, a silent one when it is `late`.
+    fn listen(&mut self, late: bool) -> io::Result<()> {
+        let mut buffer = [0; 512];
+        match self.transport.read(&mut buffer, TURN) {
+            Ok(0) => return Err(io::ErrorKind::BrokenPipe.into()),
+            Ok(n) => self.heard.extend_from_slice(&buffer[..n]),
+            Err(e)
+                if matches!(
+                    e.kind(),
+                    io::ErrorKind::TimedOut | io::ErrorKind::Interrupted
+                ) => {}
+            Err(e) => {
+                // What cannot be heard may still hear.
+                let _ = self.transport.write(b"\x18");
+                return Err(e);
+            }
+        }
+        self.found = state_in(&self.heard);
+        self.done = late || self.found.is_some();
+        let homing = self.found.as_ref().is_some_and(|s| s.starts_with("Home"));
+        if homing || (late && self.found.is_none()) {
+            self.transport.write(b"\x18")?;
+        }
+        Ok(())
+    }
 }
 
 /// The state in the first status report among what was heard.

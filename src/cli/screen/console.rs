@@ -3,8 +3,8 @@
 use super::table::{Line, Style};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::termios::{
-    LocalModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, tcflush, tcgetattr,
-    tcgetpgrp, tcgetwinsize, tcsetattr,
+    InputModes, LocalModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, tcflush,
+    tcgetattr, tcgetpgrp, tcgetwinsize, tcsetattr,
 };
 use std::fmt::Write as _;
 use std::fs::File;
@@ -27,6 +27,8 @@ impl Keyboard {
         }
         let mut raw = before.clone();
         raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
+        // Ctrl-S would hold back the picture, and with it the keys, until Ctrl-Q.
+        raw.input_modes -= InputModes::IXON;
         raw.special_codes[SpecialCodeIndex::VMIN] = 0;
         raw.special_codes[SpecialCodeIndex::VTIME] = 0;
         for off in [SpecialCodeIndex::VSUSP, SpecialCodeIndex::VQUIT] {

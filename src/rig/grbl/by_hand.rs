@@ -21,7 +21,7 @@ impl Grbl<'_> {
         if self.homed {
             return Ok(true);
         }
-        if !self.firmware.contains("HAL") {
+        if !self.is_grblhal() {
             return Ok(false);
         }
         let result = self.ask_homed();
@@ -48,8 +48,7 @@ impl Grbl<'_> {
     /// As [`Grbl::command`].
     pub(super) fn lamp_state(&mut self) -> Result<Option<bool>> {
         let replies = self.command("$G")?;
-        let words = replies.iter().find_map(|r| r.strip_prefix("[GC:"));
-        Ok(words.map(|w| w.split([' ', ']']).any(|word| matches!(word, "M3" | "M4"))))
+        Ok(Self::says_lit(&replies))
     }
 
     /// Jogs one axis although the position is not known, unlocking the board if need be; returns by how many units it
@@ -73,6 +72,7 @@ impl Grbl<'_> {
         }
         let before = self.at(axis)?.0;
         self.moving = true;
+        self.link.halted = false;
         let line = format!("$J=G91G21{}{units:.4}F{feed:.1}", LETTERS[axis]);
         self.link.exchange(&line, REPLY_TIMEOUT)?;
         let deadline = self.link.clock.now() + 60.0 * units.abs() / feed + 5.0;

@@ -19,6 +19,11 @@ impl Grbl<'_> {
             })
     }
 
+    /// Homing makes where it ends 0 (`Z` among the build options of Grbl).
+    pub(super) fn homes_to_zero(&self) -> bool {
+        self.options.split(',').next().unwrap_or("").contains('Z')
+    }
+
     pub(super) fn setting(&self, number: u16) -> Result<f64> {
         self.settings.get(&number).copied().ok_or_else(|| {
             Error::new(format!("board '{}' does not report ${number}", self.name))
@@ -72,8 +77,7 @@ impl Motion for Grbl<'_> {
     fn axis_limits(&self, letter: char) -> Result<AxisLimits> {
         let axis = self.axis_number(letter)? as u16;
         // Stock Grbl (no Z among its build options) has its machine space below zero; grblHAL may put it elsewhere.
-        let stock = !self.firmware.contains("HAL")
-            && !self.options.split(',').next().unwrap_or("").contains('Z');
+        let stock = !self.is_grblhal() && !self.homes_to_zero();
         let travel = if self.setting(20)? > 0.0 {
             let length = self.setting(130 + axis)?;
             Some(if stock {
@@ -100,6 +104,7 @@ impl Motion for Grbl<'_> {
     }
 
     fn home(&mut self) -> Result<()> {
+        self.homed = false;
         self.moving = true;
         self.homing = true;
         let result = self.home_and_prepare();
@@ -152,6 +157,11 @@ impl Motion for Grbl<'_> {
         let positions = self.checked(result)?;
         self.moving = false;
         Ok(positions)
+    }
+
+    fn look_on_the_way(&mut self) -> Result<bool> {
+        let result = self.glance();
+        self.checked(result)
     }
 
     fn verify_at(&mut self, targets: &[Target]) -> Result<Vec<f64>> {

@@ -11,6 +11,8 @@ use super::status::Status;
 const POLL: f64 = 0.1;
 /// Seconds without any status report, while asking for it, after which a controller counts as silent.
 const POLL_SILENCE: f64 = 4.0;
+/// Seconds a single look at a move waits for its report.
+const GLANCE: f64 = 0.1;
 /// Seconds of idleness after which the `ok` of the barrier counts as lost.
 const LOST_OK: f64 = 2.0;
 /// Characters a line may have.
@@ -203,6 +205,30 @@ impl Link<'_> {
                 return Ok(());
             }
         }
+    }
+
+    /// One look at a move: asks for the state and waits for it a moment; a report that comes later is seen by the next
+    /// look. True when the board is idle.
+    pub(super) fn glance(&mut self, route: &mut Route) -> Result<bool, Fault> {
+        let during = "a move";
+        self.send(b"?")?;
+        let deadline = self.clock.now() + GLANCE;
+        while let Some(reply) = self.next_reply(deadline)? {
+            let Reply::Status(status) = reply else {
+                self.unsolicited(reply, during)?;
+                continue;
+            };
+            self.heard_well();
+            self.on_way(&status, route, during)?;
+            route.heard(self.clock.now());
+            return Ok(status.is("Idle"));
+        }
+        let seconds = self.clock.now() - route.last_heard();
+        if seconds > POLL_SILENCE {
+            let during = during.to_owned();
+            return Err(Fault::Silent { during, seconds });
+        }
+        Ok(false)
     }
 
     /// Checks a report that came while a move ran.

@@ -34,6 +34,33 @@ impl Grbl<'_> {
         ))
     }
 
+    /// Whether a listing of `$G` says that the lamp is on.
+    pub(super) fn says_lit(listing: &[String]) -> Option<bool> {
+        let words = listed(listing, "GC:")?;
+        Some(words.split(' ').any(|word| matches!(word, "M3" | "M4")))
+    }
+
+    /// Switches off a lamp that somebody left on, and verifies it. A locked board refuses the line but not a reset.
+    pub(super) fn put_out(&mut self) -> Result<(), Fault> {
+        self.lamp_on = true;
+        match self.switch_lamp("M5", None) {
+            Err(Fault::Refused { .. }) => {
+                self.link.reset()?;
+                let modes = self.ask("$G", |l| listed(l, "GC:").is_some())?;
+                if Self::says_lit(&modes) != Some(false) {
+                    return Err(Fault::unexpected(
+                        "its lamp stays on after a reset",
+                        "cut the lamp's power",
+                    ));
+                }
+            }
+            other => other?,
+        }
+        self.lamp_on = false;
+        self.link.note("its lamp was on: switched off".to_owned());
+        Ok(())
+    }
+
     /// Switches the lamp off whatever the operator asked for: that must not keep it on.
     pub(super) fn lamp_off_regardless(&mut self) -> Result<()> {
         let obey = std::mem::replace(&mut self.link.obey, Obey::Nothing);

@@ -30,6 +30,8 @@ pub(super) struct Link<'a> {
     position_lost: bool,
     /// An alarm or a banner came and no line was acknowledged since: nothing moves, outstanding `ok`s are void.
     pub(super) halted: bool,
+    /// The last machine position reported.
+    last_position: Option<Vec<f64>>,
     /// The last work offset reported, for controllers that report work positions.
     work_offset: Option<Vec<f64>>,
     /// The last overrides reported since the last start, percent: most reports leave them out.
@@ -62,6 +64,7 @@ impl<'a> Link<'a> {
             input: Vec::new(),
             position_lost: false,
             halted: false,
+            last_position: None,
             work_offset: None,
             overrides: None,
             stops: 0,
@@ -84,6 +87,11 @@ impl<'a> Link<'a> {
     /// The last overrides reported since the last start.
     pub(super) fn overrides(&self) -> Option<[f64; 3]> {
         self.overrides
+    }
+
+    /// The last machine position reported.
+    pub(super) fn last_position(&self) -> Option<&[f64]> {
+        self.last_position.as_deref()
     }
 
     /// A homing cycle ended: what was said before it no longer counts.
@@ -194,6 +202,7 @@ impl<'a> Link<'a> {
                 if let Some(offset) = &s.work_offset {
                     self.work_offset = Some(offset.clone());
                 }
+                self.last_position = self.machine_position(s).or(self.last_position.take());
             }
             _ => {}
         }

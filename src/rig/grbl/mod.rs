@@ -16,6 +16,7 @@ mod codes;
 mod device;
 mod exchange;
 mod fault;
+mod homed;
 mod lamp;
 mod link;
 mod motion;
@@ -142,8 +143,9 @@ impl<'a> Grbl<'a> {
         let offsets = self.ask("$#", |l| listed(l, "G54:").is_some())?;
         self.said.extend(offsets);
         let modes = self.ask("$G", |l| listed(l, "GC:").is_some())?;
+        let lit = Self::says_lit(&modes) == Some(true);
         self.said.extend(modes);
-        Ok(())
+        if lit { self.put_out() } else { Ok(()) }
     }
 
     /// Gets the controller to acknowledge an empty line and to report its state.
@@ -192,6 +194,10 @@ impl<'a> Grbl<'a> {
             }
             fault.told(&self.name)
         })
+    }
+
+    fn is_grblhal(&self) -> bool {
+        self.firmware.contains("HAL")
     }
 
     /// The controller's `$` settings, read when connecting.

@@ -14,17 +14,20 @@ const BETWEEN_REPORTS: f64 = 0.05;
 /// Motor steps by which a report may be off a straight line.
 const STEPS: f64 = 2.0;
 /// Positions are reported with three decimals.
-const ROUNDING: f64 = 0.001;
+pub(super) const ROUNDING: f64 = 0.001;
 
 impl Grbl<'_> {
     /// Homes; the controller must be idle afterwards.
     pub(super) fn home_and_prepare(&mut self) -> Result<(), Fault> {
         self.rest = None;
-        self.run_homing()?;
+        let before = self.link.last_position().map(<[f64]>::to_vec);
+        let seconds = self.run_homing()?;
         // What the board said before homing no longer counts.
         self.link.take_position_lost();
         self.link.forget_homed();
-        self.prepare()
+        let status = self.link.full_status()?;
+        self.has_homed(&status, before.as_deref(), seconds)?;
+        self.prepare(&status)
     }
 
     /// Unlocks a board without limit switches if need be.
@@ -34,15 +37,15 @@ impl Grbl<'_> {
             self.ask("$X", |_| true)?;
             self.link.take_position_lost();
         }
-        self.prepare()
+        let status = self.link.status()?;
+        self.prepare(&status)
     }
 
     /// Lamp off; the controller must be idle. Where it stands is where it rests.
-    fn prepare(&mut self) -> Result<(), Fault> {
-        let status = self.link.status()?;
-        must_be_idle(&status)?;
+    fn prepare(&mut self, status: &Status) -> Result<(), Fault> {
+        must_be_idle(status)?;
         self.ask("M5", |_| true)?;
-        self.rest = Some(self.position_of(&status)?);
+        self.rest = Some(self.position_of(status)?);
         Ok(())
     }
 
@@ -71,6 +74,8 @@ impl Grbl<'_> {
             .map(|t| format!("{}{:.4}", t.letter, t.units + 0.0))
             .collect();
         self.moving = true;
+        // What an earlier alarm or reset said of outstanding answers and standstill ends here.
+        self.link.halted = false;
         // G21 G90 G94: whatever modal state a reset or another program left behind.
         let line = format!("G21G90G94G53G1{words}F{feed:.1}");
         let sent = self.send_move(&line, &mut route);
@@ -94,9 +99,13 @@ impl Grbl<'_> {
 
     /// How fine a position of this axis can be said, units.
     fn grain(&self, axis: usize) -> f64 {
+        STEPS * self.step(axis) + ROUNDING
+    }
+
+    /// One motor step of this axis, units; 0 when it is not known.
+    pub(super) fn step(&self, axis: usize) -> f64 {
         let steps = self.settings.get(&(100 + axis as u16)).copied();
-        let step = steps.filter(|s| *s > 0.0).map_or(0.0, |s| 1.0 / s);
-        STEPS * step + ROUNDING
+        steps.filter(|s| *s > 0.0).map_or(0.0, |s| 1.0 / s)
     }
 
     /// Fails when the axes are not where they were last verified to rest.
@@ -121,13 +130,20 @@ impl Grbl<'_> {
         Ok(())
     }
 
+    /// Asks once how the move gets on, without waiting long for an answer; true when the board is idle.
+    pub(super) fn glance(&mut self) -> Result<bool, Fault> {
+        let Some(mut route) = self.route.take() else {
+            return Err(no_move());
+        };
+        let idle = self.link.glance(&mut route);
+        self.route = Some(route);
+        idle
+    }
+
     /// Waits until the queued move has ended and verifies it; returns the positions read back, in the order of `targets`.
     pub(super) fn end_move(&mut self, targets: &[Target], timeout: f64) -> Result<Vec<f64>, Fault> {
         let Some(mut route) = self.route.take() else {
-            return Err(Fault::unexpected(
-                "no move was started",
-                "report this as a fault of the program",
-            ));
+            return Err(no_move());
         };
         let deadline = self.link.clock.now() + timeout;
         self.pass_barrier(timeout, &mut route)?;
@@ -203,7 +219,7 @@ impl Grbl<'_> {
     }
 }
 
-fn must_be_idle(status: &Status) -> Result<(), Fault> {
+pub(super) fn must_be_idle(status: &Status) -> Result<(), Fault> {
     if status.is("Idle") {
         return Ok(());
     }
@@ -211,6 +227,13 @@ fn must_be_idle(status: &Status) -> Result<(), Fault> {
         format!("state {} where Idle was expected", status.state_text()),
         "clear the cause at the board and start again",
     ))
+}
+
+fn no_move() -> Fault {
+    Fault::unexpected(
+        "no move was started",
+        "report this as a fault of the program",
+    )
 }
 
 fn axis(letter: char) -> Option<usize> {

@@ -132,12 +132,13 @@ impl Grbl<'_> {
         }
     }
 
-    /// `$H`, and once more when its answer was garbled and the cycle is over: homing again does no harm.
-    pub(super) fn run_homing(&mut self) -> Result<(), Fault> {
+    /// `$H`, and once more when its answer was garbled and the cycle is over: homing again does no harm. Returns the
+    /// seconds until its `ok`.
+    pub(super) fn run_homing(&mut self) -> Result<f64, Fault> {
         let stops = self.link.stops;
-        let fault = match self.link.exchange("$H", HOMING_TIMEOUT) {
+        let fault = match self.send_homing() {
             Err(fault @ Fault::Garbled { .. }) if fault.noise().is_some() => fault,
-            other => return other.map(|_| ()),
+            other => return other,
         };
         let reason = fault.noise().unwrap_or_default();
         let deadline = self.link.clock.now() + HOMING_TIMEOUT;
@@ -160,7 +161,26 @@ impl Grbl<'_> {
         }
         self.link
             .note(format!("{reason}: state {state}, homed once more (1 of 1)"));
-        self.link.exchange("$H", HOMING_TIMEOUT).map(|_| ())
+        self.send_homing()
+    }
+
+    /// One `$H`. A damaged one may be another command, whose answer says more than a homing cycle does.
+    fn send_homing(&mut self) -> Result<f64, Fault> {
+        let start = self.link.clock.now();
+        let listing = self.link.exchange("$H", HOMING_TIMEOUT)?;
+        match listing.iter().find(|l| !self.belongs_to_homing(l)) {
+            None => Ok(self.link.clock.now() - start),
+            Some(line) => Err(Fault::unexpected(
+                format!("it answered '{line}' to '$H', which no homing cycle does"),
+                "the command was damaged on its way; check for noise on the cable, then home again",
+            )),
+        }
+    }
+
+    /// Start-up lines run after homing and are echoed; grblHAL also has messages of its plugins.
+    fn belongs_to_homing(&self, line: &str) -> bool {
+        let message = line.starts_with("[MSG:") && !line.contains("Unlocked");
+        line.starts_with('>') || (message && self.is_grblhal())
     }
 }
 

@@ -19,6 +19,7 @@ pub(super) struct Route {
     furthest: f64,
     last: Vec<f64>,
     last_change: f64,
+    last_heard: f64,
 }
 
 impl Route {
@@ -38,7 +39,18 @@ impl Route {
             letters,
             furthest: 0.0,
             last_change: now,
+            last_heard: now,
         }
+    }
+
+    /// A report came now.
+    pub(super) fn heard(&mut self, now: f64) {
+        self.last_heard = now;
+    }
+
+    /// When the last report came, or the move began.
+    pub(super) fn last_heard(&self) -> f64 {
+        self.last_heard
     }
 
     /// Part of the line at which `position` is nearest, 0 to 1.

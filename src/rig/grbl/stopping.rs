@@ -127,7 +127,13 @@ impl Grbl<'_> {
                     break;
                 }
                 Some(status) if status.is("Alarm") || status.is("Home") => break,
-                Some(_) => self.link.clock.sleep(0.1),
+                Some(status) => {
+                    // The hold was lost on its way, or comes to the board after the question.
+                    if status.is("Run") || status.is("Jog") {
+                        self.link.send(b"!")?;
+                    }
+                    self.link.clock.sleep(0.1);
+                }
             }
         }
         let lost_earlier = self.link.take_position_lost();

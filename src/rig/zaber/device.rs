@@ -100,6 +100,11 @@ impl Motion for Zaber<'_> {
         Ok(positions)
     }
 
+    fn look_on_the_way(&mut self) -> Result<bool> {
+        let result = self.glance();
+        self.checked(result)
+    }
+
     fn verify_at(&mut self, targets: &[Target]) -> Result<Vec<f64>> {
         let result = self.verified(targets);
         self.checked(result)

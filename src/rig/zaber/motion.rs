@@ -189,8 +189,7 @@ impl Zaber<'_> {
         let deadline = self.link.clock.now() + timeout;
         let (mut still, mut short_since) = (0, None);
         loop {
-            let (busy, positions) = self.look("a move", true)?;
-            self.check_ways(&positions)?;
+            let (busy, positions) = self.look_at_ways()?;
             let now = self.link.clock.now();
             let arrived = self.in_place(targets, &positions);
             match &arrived {
@@ -216,6 +215,17 @@ impl Zaber<'_> {
             }
             self.link.pause(POLL)?;
         }
+    }
+
+    /// One look at a move; true when nothing moves.
+    pub(super) fn glance(&mut self) -> Result<bool, Fault> {
+        Ok(!self.look_at_ways()?.0)
+    }
+
+    fn look_at_ways(&mut self) -> Result<(bool, Vec<Option<i64>>), Fault> {
+        let (busy, positions) = self.look("a move", true)?;
+        self.check_ways(&positions)?;
+        Ok((busy, positions))
     }
 
     /// Fails when an axis is not between where it was and where it was sent.
