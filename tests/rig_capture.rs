@@ -468,7 +468,7 @@ fn a_replayed_frame_that_is_missing_or_damaged_is_named() {
     camera.expose(&shots[0].shot).unwrap();
     let error = camera.expose(&shots[0].shot).unwrap_err().report();
     assert!(
-        error.contains("no (further) White frame") && error.contains("50 ms"),
+        error.contains("no (further) white frame") && error.contains("50 ms"),
         "{error}"
     );
     let frames = SessionFolder::open(&out).unwrap().frames().unwrap();

@@ -368,7 +368,7 @@ fn where_no_way_leads_past_both_bodies_are_named() {
     );
     let error = rig.path(&from, &to).unwrap_err().report();
     for words in [
-        "no free way found; on the straight way 'lens' and 'bulb' are",
+        "no free way found; on the straight way 'lens' and 'bulb' overlap by",
         "mm, at camera_elevation 60.00, camera_azimuth 90.00, light_elevation 60.00, light_azimuth",
         "hint: put a pose in between",
     ] {
