@@ -605,12 +605,15 @@ fn a_fault_of_one_board_is_noticed_while_another_is_on_its_way() {
     assert!(boards.0.now() - start > 2.0);
 }
 
+/// What was sent: when, to which board, which bytes.
+type Wire = Arc<Mutex<Vec<(f64, String, Vec<u8>)>>>;
+
 /// Keeps what is sent, with its time; a deaf one lets nothing through.
 struct Tapped {
     inner: ModelTransport,
     clock: Arc<VirtualClock>,
     board: String,
-    wire: Arc<Mutex<Vec<(f64, String, Vec<u8>)>>>,
+    wire: Wire,
     deaf: bool,
 }
 
@@ -640,7 +643,7 @@ fn a_stop_from_outside_reaches_every_board_before_any_is_listened_to() {
             assert!(model.is_moving());
         }
         clock.advance_to(3.0);
-        let wire: Arc<Mutex<Vec<_>>> = Arc::default();
+        let wire = Wire::default();
         let (time, sent, boards) = (clock.clone(), wire.clone(), models.clone());
         let mut connection = Connection {
             open: Box::new(move |port| {
