@@ -405,7 +405,7 @@ fn the_lamp_goes_on_for_a_time_and_off_afterwards() {
 }
 
 #[test]
-fn a_lamp_that_was_left_on_is_seen_and_switched_off() {
+fn a_lamp_that_was_left_on_is_switched_off_by_the_next_command() {
     let bench = Bench::five_axis();
     bench.json(&["home"]);
     let mut lamp = bench
@@ -416,9 +416,13 @@ fn a_lamp_that_was_left_on_is_seen_and_switched_off() {
     std::thread::sleep(Duration::from_millis(300));
     lamp.kill().unwrap();
     lamp.wait().unwrap();
-    assert_eq!(bench.json(&["status"])["lamp"]["on"], true);
-    bench.json(&["lamp", "off"]);
+    let before = bench.heard().len();
     assert_eq!(bench.json(&["status"])["lamp"]["on"], false);
+    assert!(bench.heard()[before..].contains("M5\n"));
+    // Nothing is left to switch off.
+    let before = bench.heard().len();
+    assert_eq!(bench.json(&["status"])["lamp"]["on"], false);
+    assert!(!bench.heard()[before..].contains("M5\n"));
 }
 
 #[test]

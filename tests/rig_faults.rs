@@ -7,6 +7,7 @@ use goniofit::base::{Result, Unwatched, Watch};
 use goniofit::rig::{
     AxisAngles, Clock, Connection, Fault, FaultKind, Flavor, Grbl, GrblModel, Halt, ModelOptions,
     ModelTransport, Motion, Rig, RigDescription, SharedModel, Target, Transport, VirtualClock,
+    stop_all,
 };
 use std::collections::BTreeMap;
 use std::io;
@@ -602,4 +603,79 @@ fn a_fault_of_one_board_is_noticed_while_another_is_on_its_way() {
     rig.move_to(&AxisAngles([0.0, 90.0, 5.0, 1.0, 0.0]))
         .unwrap();
     assert!(boards.0.now() - start > 2.0);
+}
+
+/// What was sent: when, to which board, which bytes.
+type Wire = Arc<Mutex<Vec<(f64, String, Vec<u8>)>>>;
+
+/// Keeps what is sent, with its time; a deaf one lets nothing through.
+struct Tapped {
+    inner: ModelTransport,
+    clock: Arc<VirtualClock>,
+    board: String,
+    wire: Wire,
+    deaf: bool,
+}
+
+impl Transport for Tapped {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let entry = (self.clock.now(), self.board.clone(), bytes.to_vec());
+        self.wire.lock().unwrap().push(entry);
+        if self.deaf {
+            return Ok(());
+        }
+        self.inner.write(bytes)
+    }
+    fn read(&mut self, buffer: &mut [u8], timeout: f64) -> io::Result<usize> {
+        self.inner.read(buffer, timeout)
+    }
+}
+
+#[test]
+fn a_stop_from_outside_reaches_every_board_before_any_is_listened_to() {
+    for deaf in [true, false] {
+        let (description, (clock, models)) = two_boards(None);
+        for model in models.values() {
+            let mut model = model.lock().unwrap();
+            model.take_output(2.0);
+            model.receive(b"$X\nM3S500\nG1X-300F3000\n", 2.0);
+            model.take_output(3.0);
+            assert!(model.is_moving());
+        }
+        clock.advance_to(3.0);
+        let wire = Wire::default();
+        let (time, sent, boards) = (clock.clone(), wire.clone(), models.clone());
+        let mut connection = Connection {
+            open: Box::new(move |port| {
+                Ok(Box::new(Tapped {
+                    inner: ModelTransport::new(boards[&port.name].clone(), time.clone()),
+                    clock: time.clone(),
+                    board: port.name.clone(),
+                    wire: sent.clone(),
+                    deaf: deaf && port.name == "camera",
+                }) as Box<dyn Transport>)
+            }),
+            clock: clock.clone(),
+            wait_scale: 1.0,
+        };
+        let done = stop_all(&description, &mut connection, &Unwatched);
+        let first = |name: &str, n: usize| {
+            let wire = wire.lock().unwrap();
+            let mut of = wire.iter().filter(|(_, board, _)| board == name);
+            of.nth(n).cloned().unwrap()
+        };
+        for name in ["camera", "light"] {
+            assert_eq!(first(name, 0), (3.0, name.to_owned(), b"?!".to_vec()));
+            let outcome = &done.iter().find(|s| s.device == name).unwrap().outcome;
+            assert_eq!(outcome.is_ok(), !(deaf && name == "camera"), "{outcome:?}");
+        }
+        assert!(!models["light"].lock().unwrap().is_moving());
+        assert!(!models["light"].lock().unwrap().spindle_on());
+        if deaf {
+            // The silent one is reset after a moment.
+            let (t, _, bytes) = first("camera", 1);
+            assert_eq!(bytes, b"\x18");
+            assert!((0.3..0.5).contains(&(t - 3.0)), "{t}");
+        }
+    }
 }

@@ -12,7 +12,7 @@ const POLL: f64 = 0.1;
 /// Seconds without any status report, while asking for it, after which a controller counts as silent.
 const POLL_SILENCE: f64 = 4.0;
 /// Seconds a single look at a move waits for its report.
-const GLANCE: f64 = 0.1;
+const GLANCE: f64 = 0.05;
 /// Seconds of idleness after which the `ok` of the barrier counts as lost.
 const LOST_OK: f64 = 2.0;
 /// Characters a line may have.

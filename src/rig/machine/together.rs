@@ -18,19 +18,22 @@ impl Rig<'_> {
         let deadline = self.clock.now() + timeout;
         let mut still = 0;
         while still < STILL {
-            let mut at_rest = true;
+            let mut busy = None;
             for i in moving {
-                at_rest &= self.boards[*i].look_on_the_way()?;
+                if !self.boards[*i].look_on_the_way()? {
+                    busy = Some(*i);
+                }
             }
-            still = if at_rest { still + 1 } else { 0 };
-            if self.clock.now() > deadline {
+            if let Some(i) = busy.filter(|_| self.clock.now() > deadline) {
+                let name = self.boards[i].name();
                 return Err(Error::new(format!(
-                    "the boards have not all ended a move after {timeout:.0} s"
+                    "board '{name}': the move did not end within {timeout:.0} s"
                 ))
                 .with_hint(
-                    "compare the boards' speeds and accelerations ($110.. and $120..) with the rig file",
+                    "look what holds the axis; compare the board's speeds and accelerations with the rig file",
                 ));
             }
+            still = if busy.is_none() { still + 1 } else { 0 };
             self.clock.sleep(LOOK);
         }
         Ok(())
