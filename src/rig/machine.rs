@@ -359,8 +359,12 @@ impl<'a> Rig<'a> {
         let timeout = 3.0 * seconds + 15.0;
         let mut started = Vec::new();
         for i in 0..self.boards.len() {
-            let targets = self.targets(self.boards[i].name(), to);
-            if !targets.is_empty() {
+            let name = self.boards[i].name().to_owned();
+            let targets = self.targets(&name, to);
+            // Of several boards those stay quiet that have nothing to move; they are verified at the end of the way.
+            let mut axes = self.description.motors_of(&name);
+            let moves = axes.any(|(axis, _)| (from.get(axis) - to.get(axis)).abs() > 1e-9);
+            if !targets.is_empty() && (moves || self.boards.len() == 1) {
                 self.boards[i].start_move(&targets)?;
                 started.push((i, targets));
             }
@@ -512,12 +516,12 @@ impl<'a> Rig<'a> {
         // A homing board does not obey the brake: its reset comes first.
         let (homing, others): (Vec<_>, Vec<_>) =
             self.boards.iter_mut().partition(|b| b.may_be_homing());
-        done.extend(
-            homing
-                .into_iter()
-                .chain(others)
-                .map(|b| b.make_safe(at_once).unwrap_or_else(|e| e.report())),
-        );
+        done.extend(homing.into_iter().chain(others).map(|b| {
+            b.make_safe(at_once).unwrap_or_else(|e| {
+                let reason = e.report();
+                format!("{reason}; its lamp may still be on and its axes may still move")
+            })
+        }));
         done
     }
 }

@@ -2,9 +2,6 @@
 
 use super::{Error, LOOK, Result, Rig};
 
-/// Looks in a row at which no board moves.
-const STILL: u32 = 2;
-
 impl Rig<'_> {
     /// Looks at all of these boards in turns until none moves, so that a fault of any is noticed while the others are on
     /// their way. A single board is watched by its own driver.
@@ -16,13 +13,16 @@ impl Rig<'_> {
             return Ok(());
         }
         let deadline = self.clock.now() + timeout;
-        let mut still = 0;
-        while still < STILL {
+        loop {
             let mut busy = None;
             for i in moving {
                 if !self.boards[*i].look_on_the_way()? {
                     busy = Some(*i);
                 }
+            }
+            if busy.is_none() {
+                // Each driver makes sure of its own arrival.
+                return Ok(());
             }
             if let Some(i) = busy.filter(|_| self.clock.now() > deadline) {
                 let name = self.boards[i].name();
@@ -33,9 +33,7 @@ impl Rig<'_> {
                     "look what holds the axis; compare the board's speeds and accelerations with the rig file",
                 ));
             }
-            still = if busy.is_none() { still + 1 } else { 0 };
             self.clock.sleep(LOOK);
         }
-        Ok(())
     }
 }
