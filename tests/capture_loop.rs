@@ -586,6 +586,25 @@ fn an_abort_or_a_halt_in_a_pause_ends_dark_although_the_board_was_told_to_hold()
 }
 
 #[test]
+fn what_is_pressed_in_a_pause_with_the_lamp_off_is_taken_up_too() {
+    let rig = plain_rig();
+    let folder = tempfile::tempdir().unwrap();
+    // In the first move, before the lamp was ever on: space, space again in the pause, then on.
+    for wish in [Request::Pause, Request::PauseNow] {
+        let room = Room::of(&rig);
+        let out = folder.path().join(format!("{wish:?}"));
+        let mut operator = Person::asking_at(&room.clock, 12.0, wish, true);
+        operator.in_pause = Some((room.model.clone(), room.clock.clone(), Request::PauseNow));
+        let summary = room
+            .capture(&rig, &plan(2), &mut camera(|_| 0.5), &operator, &out)
+            .unwrap();
+        assert!(summary.finished() && summary.frames == 4, "{wish:?}");
+        assert_eq!(operator.pauses.load(Ordering::SeqCst), 1, "{wish:?}");
+        assert_eq!(sent(&out).matches("$H\n").count(), 1, "{wish:?}");
+    }
+}
+
+#[test]
 fn a_pause_in_the_warm_up_or_while_settling_cuts_neither_short() {
     let rig = rig("exposures_ms = [32.0]", "warm_up_s = 100.0");
     let folder = tempfile::tempdir().unwrap();

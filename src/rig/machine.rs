@@ -492,6 +492,13 @@ impl<'a> Rig<'a> {
         }
     }
 
+    /// Begins a controlled stop of every board, moving or not; [`Rig::make_safe`] must follow.
+    pub fn brake(&mut self) {
+        for board in &mut self.boards {
+            board.brake();
+        }
+    }
+
     /// Stops everything and switches the lamp off; one line per device says what happened. Every board that may be
     /// moving, and after [`Watch::urgent`] every board, begins to brake before any is waited for. With `at_once` motion
     /// ends the fastest way there is, whatever becomes of the position.

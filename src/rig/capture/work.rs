@@ -96,13 +96,15 @@ impl Loop<'_, '_> {
         self.rig.make_safe(end == End::Halted)
     }
 
-    /// After a pause: whatever was pressed in it may have reached the boards; unless they stand where they stood they are
-    /// stopped in order, and the next stretch begins from there.
+    /// After a pause: whatever was pressed in it may have reached the boards. Unless the lamp stayed on and they say that
+    /// they stand where they stood, all are stopped in order, and the next stretch begins from there.
     fn take_up(&mut self) {
-        if self.rig.lamp_is_on() && self.rig.verify().is_err() {
-            for line in self.stop(End::Paused) {
-                self.operator.seen(&Seen::Note(&line));
-            }
+        if self.rig.lamp_is_on() && self.rig.verify().is_ok() {
+            return;
+        }
+        self.rig.brake();
+        for line in self.stop(End::Paused) {
+            self.operator.seen(&Seen::Note(&line));
         }
     }
 
