@@ -28,6 +28,7 @@ impl Camera for Shutter {
             height: 10,
             pixel_mm: 1.0,
             center_px: [5.0, 5.0],
+            lens: Default::default(),
         }
     }
 

@@ -326,6 +326,7 @@ impl Camera for Witness {
             height: 10,
             pixel_mm: 1.0,
             center_px: [5.0, 5.0],
+            lens: Default::default(),
         }
     }
 

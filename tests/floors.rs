@@ -35,6 +35,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("aravis", &["rig"]),
     ("rawloader", &["measure"]),
     ("exif", &["measure"]),
+    ("exr", &["measure", "report"]),
     ("obvhs", &["render"]),
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),

@@ -28,7 +28,7 @@ fn real_files_give_the_reference_means() {
             frame.height + top + bottom
         );
         assert_eq!(full, row[3]);
-        assert_eq!(frame.cfa.to_string(), row[9]);
+        assert_eq!(frame.layout.to_string(), row[9]);
         assert_eq!(
             frame.black, [32.0; 4],
             "the second green has a black level too"
@@ -106,7 +106,7 @@ fn a_dng_comes_back_with_its_own_black_level_at_every_place() {
         let (data, bytes) = dng(23, 14, cfa, black);
         let frame = decode(&bytes).unwrap();
         assert_eq!((frame.width, frame.height), (23, 14));
-        assert_eq!((frame.cfa, frame.black, frame.white), (cfa, black, 4000));
+        assert_eq!((frame.cfa(), frame.black, frame.white), (cfa, black, 4000));
         assert!(frame.data == data);
         assert_eq!((frame.exposure_ms, frame.iso), (Some(12.5), Some(100)));
         assert!(frame.date_time.unwrap().starts_with("2024"));

@@ -31,6 +31,7 @@ fn facts() -> CameraFacts {
         height: SIZE[1],
         pixel_mm: 0.5,
         center_px: [30.0, 24.0],
+        lens: Default::default(),
     }
 }
 
@@ -216,6 +217,7 @@ fn real_files_are_judged() {
             height: raw.height,
             pixel_mm: 0.05,
             center_px: [0.5 * raw.width as f64, 0.5 * raw.height as f64],
+            lens: Default::default(),
         };
         let bytes = std::fs::read(&path).unwrap();
         let extension = path.extension().unwrap().to_str().unwrap();
@@ -270,6 +272,7 @@ fn a_megapixel_is_judged_in_time() {
         height,
         pixel_mm: 0.02,
         center_px: [600.0, 450.0],
+        lens: Default::default(),
     };
     let mut judge = FrameJudge::new(facts, 10.0);
     for pose in [

@@ -33,6 +33,7 @@ impl Camera for Blank {
             height: 1,
             pixel_mm: 1.0,
             center_px: [0.5, 0.5],
+            lens: Default::default(),
         }
     }
     fn expose(&mut self, shot: &Shot) -> Result<CapturedFrame> {

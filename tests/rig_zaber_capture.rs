@@ -55,6 +55,7 @@ impl Camera for TextCamera {
             height: 4,
             pixel_mm: 1.0,
             center_px: [4.0, 2.0],
+            lens: Default::default(),
         }
     }
     fn expose(&mut self, shot: &Shot) -> Result<CapturedFrame> {

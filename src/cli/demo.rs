@@ -313,7 +313,7 @@ fn preview(raw: &crate::measure::RawFrame, corners: &[[f64; 2]; 4]) -> (usize, u
     let mut linear = vec![0.0_f64; 3 * width * height];
     for y in 0..2 * height {
         for x in 0..2 * width {
-            let channel = raw.cfa.channel(y, x);
+            let channel = raw.cfa().channel(y, x);
             let share = if channel == 1 { 0.5 } else { 1.0 };
             let value = f64::from(raw.data[y * raw.width + x]) - raw.black[2 * (y % 2) + x % 2];
             linear[3 * ((y / 2) * width + x / 2) + channel] += share * value.max(0.0);

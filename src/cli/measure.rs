@@ -148,7 +148,7 @@ fn frame_json(file: &Path, frame: &RawFrame, statistics: &FrameStatistics) -> se
             "height": frame.height + top + bottom,
         },
         "margins": {"top": top, "right": right, "bottom": bottom, "left": left},
-        "cfa": frame.cfa.to_string(),
+        "cfa": frame.layout.to_string(),
         "black": frame.black,
         "white": frame.white,
         "exposure_ms": frame.exposure_ms,
@@ -170,7 +170,7 @@ fn print_frame(frame: &RawFrame, statistics: &FrameStatistics) {
         frame.model,
         frame.width,
         frame.height,
-        frame.cfa,
+        frame.layout,
         frame.white
     );
     if let Some(ms) = frame.exposure_ms {

@@ -322,7 +322,7 @@ impl Appearance for Swatch {
                 .pictures
                 .get(&pose.id)
                 .map_or([0.0; 3], |p| p.at(point_mm)),
-            FrameKind::Dark => [0.0; 3],
+            FrameKind::Dark | FrameKind::Flat | FrameKind::Chart | FrameKind::Board => [0.0; 3],
         }
     }
 }

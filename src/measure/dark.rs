@@ -42,7 +42,7 @@ impl Darks {
             let mut sums: Vec<(f64, f64)> = Vec::new();
             for record in group {
                 let frame = loader.load(record)?;
-                (size, cfa) = ([frame.width, frame.height], frame.cfa);
+                (size, cfa) = ([frame.width, frame.height], frame.cfa());
                 sums.resize(frame.data.len(), (0.0, 0.0));
                 for (sum, &value) in sums.iter_mut().zip(&frame.data) {
                     let value = f64::from(value);

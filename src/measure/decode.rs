@@ -2,7 +2,7 @@
 
 use super::container::{self, Container};
 use crate::base::{Context, Error, Result};
-use crate::session::CfaPattern;
+use crate::session::{CfaPattern, Layout};
 use std::path::Path;
 
 /// The visible part of a sensor's mosaic, as read: black not subtracted, nothing scaled.
@@ -18,21 +18,30 @@ pub struct RawFrame {
     pub height: usize,
     /// Masked pixels around the visible area: top, right, bottom, left.
     pub margins: [usize; 4],
-    /// Color filters of the visible area.
-    pub cfa: CfaPattern,
-    /// Black level of each place of the visible area's 2x2 block, row by row (0 when the file and the camera table state
-    /// none).
+    /// Which channels the pixels of the visible area have.
+    pub layout: Layout,
+    /// Black level of each place of the layout: of the visible area's 2x2 block, row by row; of the three channels; or one
+    /// for all. 0 when the file and the camera table state none, and for places the layout does not have.
     pub black: [f64; 4],
     /// Raw value at which pixels saturate.
     pub white: u16,
-    /// `width * height` raw values, row by row.
+    /// `width * height` times [`Layout::values_per_pixel`] raw values, row by row.
     pub data: Vec<u16>,
     /// Exposure time by EXIF, milliseconds.
     pub exposure_ms: Option<f64>,
+    /// Aperture by EXIF, as an f-number.
+    pub aperture: Option<f64>,
     /// Sensitivity by EXIF.
     pub iso: Option<u32>,
     /// Time stamp by EXIF, as written.
     pub date_time: Option<String>,
+}
+
+impl RawFrame {
+    /// The mosaic.
+    pub fn cfa(&self) -> CfaPattern {
+        self.layout.cfa().unwrap_or(CfaPattern::Rggb)
+    }
 }
 
 /// Reads and decodes a RAW file; see [`decode`].
@@ -88,11 +97,12 @@ pub fn decode(bytes: &[u8]) -> Result<RawFrame> {
         width,
         height,
         margins: image.crops,
-        cfa,
+        layout: Layout::Bayer(cfa),
         black,
         white: white.unwrap_or(u16::MAX),
         data,
         exposure_ms: exif.exposure_ms,
+        aperture: exif.aperture,
         iso: exif.iso,
         date_time: exif.date_time,
         make: image.make,
@@ -169,6 +179,7 @@ fn mosaic(image: &rawloader::RawImage, container: Container) -> Result<(CfaPatte
 #[derive(Default)]
 struct Exif {
     exposure_ms: Option<f64>,
+    aperture: Option<f64>,
     iso: Option<u32>,
     date_time: Option<String>,
 }
@@ -188,6 +199,10 @@ impl Exif {
             Some(exif::Value::Rational(v)) => v.first().map(|r| r.to_f64() * 1000.0),
             _ => None,
         };
+        let aperture = match field(exif::Tag::FNumber) {
+            Some(exif::Value::Rational(v)) => v.first().map(exif::Rational::to_f64),
+            _ => None,
+        };
         let date_time = match field(exif::Tag::DateTimeOriginal) {
             Some(exif::Value::Ascii(v)) => v
                 .first()
@@ -196,6 +211,7 @@ impl Exif {
         };
         Self {
             exposure_ms: exposure.filter(|ms| *ms > 0.0 && ms.is_finite()),
+            aperture: aperture.filter(|f| *f > 0.0 && f.is_finite()),
             iso: field(exif::Tag::PhotographicSensitivity).and_then(|v| v.get_uint(0)),
             date_time,
         }

@@ -166,7 +166,7 @@ impl<'a> Loader<'a> {
             make: frame.make.clone(),
             model: frame.model.clone(),
             iso: frame.iso,
-            cfa: frame.cfa,
+            cfa: frame.cfa(),
             white: frame.white,
         };
         let Some((first, name)) = self.camera.get() else {

@@ -103,7 +103,7 @@ fn exposedness(frame: &RawFrame, coverage: &Coverage) -> Exposedness {
     };
     let (mut sum, mut area) = ([0.0; 3], [0.0; 3]);
     for (x, y, weight) in coverage.pixels() {
-        let channel = frame.cfa.channel(y, x);
+        let channel = frame.cfa().channel(y, x);
         let value = f64::from(frame.data[y * frame.width + x]);
         sum[channel] += weight * scaled(value, CfaPattern::position(y, x));
         area[channel] += weight;
@@ -114,7 +114,7 @@ fn exposedness(frame: &RawFrame, coverage: &Coverage) -> Exposedness {
         let right = (row.x + row.weights.len() + 1).min(frame.width);
         for y in top..bottom {
             for x in row.x.saturating_sub(1)..right {
-                let (channel, place) = (frame.cfa.channel(y, x), CfaPattern::position(y, x));
+                let (channel, place) = (frame.cfa().channel(y, x), CfaPattern::position(y, x));
                 let value = frame.data[y * frame.width + x];
                 if scaled(f64::from(value), place) > peak[channel] {
                     let value = value.min(brightest_neighbor(frame, x, y));
@@ -131,12 +131,12 @@ fn exposedness(frame: &RawFrame, coverage: &Coverage) -> Exposedness {
 
 /// The largest raw value of the same color within two pixels in x and y.
 fn brightest_neighbor(frame: &RawFrame, x: usize, y: usize) -> u16 {
-    let channel = frame.cfa.channel(y, x);
+    let channel = frame.cfa().channel(y, x);
     let rows = y.saturating_sub(2)..(y + 3).min(frame.height);
     let columns = x.saturating_sub(2)..(x + 3).min(frame.width);
     let around = rows.flat_map(|j| columns.clone().map(move |i| (i, j)));
     around
-        .filter(|&(i, j)| (i, j) != (x, y) && frame.cfa.channel(j, i) == channel)
+        .filter(|&(i, j)| (i, j) != (x, y) && frame.cfa().channel(j, i) == channel)
         .map(|(i, j)| frame.data[j * frame.width + i])
         .max()
         .unwrap_or(0)

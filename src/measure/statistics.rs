@@ -75,7 +75,7 @@ pub fn frame_statistics(frame: &RawFrame, crop: Crop) -> Result<FrameStatistics>
             place.4 += 1;
         }
     }
-    let names = names(frame.cfa);
+    let names = names(frame.cfa());
     let channels = ["R", "G1", "G2", "B"].into_iter().filter_map(|channel| {
         let at = names.iter().position(|&n| n == channel)?;
         let (sum, min, max, clipped, pixels) = places[at];

@@ -282,6 +282,7 @@ mod tests {
             requested_ms: None,
             repeat,
             visit: 0,
+            filter: None,
             exposed: peak.map(|p| Exposedness {
                 peak: [p, 0.5 * p, 0.1 * p],
                 mean: [0.3 * p; 3],

@@ -404,6 +404,7 @@ impl CapturePlan {
 fn expected(shot: &Shot, middle_ms: Option<f64>) -> FrameRecord {
     let peak = |middle: f64| [(0.5 * shot.exposure_ms / middle).min(1.0); 3];
     FrameRecord {
+        filter: None,
         file: String::new(),
         kind: shot.kind,
         config: shot.config,

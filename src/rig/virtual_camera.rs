@@ -106,6 +106,7 @@ impl SensorModel {
             height: self.height,
             pixel_mm: self.pixel_mm,
             center_px: self.center_px,
+            lens: Default::default(),
         }
     }
 

@@ -1,7 +1,7 @@
 //! The journal: one fsynced line per event, append-only; a torn last line is what a crash leaves and is tolerated.
 
-use super::Configuration;
 use super::plan::ConfigurationRow;
+use super::{Configuration, Filter};
 use crate::base::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
@@ -20,6 +20,12 @@ pub enum FrameKind {
     White,
     /// The sample at the white's reference geometry, light on: how bright the lamp is now.
     Reference,
+    /// Something evenly bright over the whole image (a diffuser on the lens, a panel), light on.
+    Flat,
+    /// A color chart in the sample's place, light on.
+    Chart,
+    /// A checkerboard in the sample's place, light on.
+    Board,
 }
 
 impl FrameKind {
@@ -30,6 +36,9 @@ impl FrameKind {
             Self::Dark => "dark",
             Self::White => "white",
             Self::Reference => "reference",
+            Self::Flat => "flat",
+            Self::Chart => "chart",
+            Self::Board => "board",
         }
     }
 }
@@ -50,7 +59,7 @@ pub struct FrameRecord {
     pub file: String,
     /// What it shows.
     pub kind: FrameKind,
-    /// The plan's configuration for a sample frame; none for darks and whites.
+    /// The plan's configuration for a sample, flat, chart or board frame; none for darks, whites and references.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub config: Option<u32>,
     /// Exposure time read back from the camera, milliseconds.
@@ -64,6 +73,9 @@ pub struct FrameRecord {
     /// Which visit of the reference pose (0, 1, ...); 0 for every other kind.
     #[serde(skip_serializing_if = "is_zero", default)]
     pub visit: u32,
+    /// The filter in front of the lens; none for a camera that sees color itself.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub filter: Option<Filter>,
     /// How well it is exposed, when somebody looked.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub exposed: Option<Exposedness>,
@@ -286,6 +298,7 @@ mod tests {
             requested_ms: None,
             repeat: 0,
             visit: 0,
+            filter: None,
             exposed: None,
             utc: None,
             axes_deg: [("light_elevation".to_owned(), 32.0)].into(),

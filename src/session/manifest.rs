@@ -19,6 +19,33 @@ pub struct CameraFacts {
     pub pixel_mm: f64,
     /// Image point (x right, y down, pixels; integer = pixel corner) the sample center projects to.
     pub center_px: [f64; 2],
+    /// How the lens departs from that.
+    #[serde(default, skip_serializing_if = "Lens::is_ideal")]
+    pub lens: Lens,
+}
+
+/// How a lens and its mount depart from an orthographic camera that looks at the sample center from every pose. All zero:
+/// not at all.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Lens {
+    /// The image is turned by this about the sample center, from x (right) toward y (down), radians.
+    pub roll: f64,
+    /// One over the distance from the entrance pupil to the sample center, 1/mm; 0: orthographic.
+    pub perspective: f64,
+    /// Radial distortion: an image point at distance r from the middle of the image is moved to `r (1 + distortion r^2)`, r
+    /// in units of half the image diagonal.
+    pub distortion: f64,
+    /// How the image of the sample center moves, pixels, when the camera arm bends: by `sag_px[0] sin(theta)` and
+    /// `sag_px[1] (1 - cos(theta))` at camera polar angle theta.
+    pub sag_px: [[f64; 2]; 2],
+}
+
+impl Lens {
+    /// True when nothing departs.
+    pub fn is_ideal(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// How the white standard was shot: `E_normal = pi L_white / (reflectance_factor cos(theta_light))`.

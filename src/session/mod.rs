@@ -15,6 +15,7 @@
 pub mod dng;
 pub mod files;
 mod journal;
+mod layout;
 mod manifest;
 mod measurements;
 mod plan;
@@ -23,7 +24,8 @@ mod projection;
 pub use dng::{BitDepth, CfaPattern, DngImage, write_dng};
 pub use files::sha256;
 pub use journal::{Entry, Event, Exposedness, FrameKind, FrameRecord, Journal, read_journal};
-pub use manifest::{CameraFacts, Manifest, Provenance, SessionFolder, WhiteReference};
+pub use layout::{Filter, Layout};
+pub use manifest::{CameraFacts, Lens, Manifest, Provenance, SessionFolder, WhiteReference};
 pub use measurements::{Intensity, Measurements};
 pub use plan::{Configuration, Plan};
 pub use projection::{Coverage, Projection, RowSpan};

@@ -237,6 +237,7 @@ mod tests {
             height: 180,
             pixel_mm: 1.0 / 14.0,
             center_px: [120.3, 89.6],
+            lens: Default::default(),
         }
     }
 

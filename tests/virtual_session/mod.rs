@@ -336,6 +336,7 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
             repeat: shot.repeat,
             requested_ms: None,
             visit: shot.visit,
+            filter: None,
             exposed: None,
             utc: None,
             axes_deg: Default::default(),

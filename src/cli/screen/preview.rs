@@ -43,7 +43,7 @@ fn mean(raw: &RawFrame, left: usize, top: usize, side: usize) -> [f64; 3] {
     let mut counts = [0.0; 3];
     for row in top..top + side {
         for column in left..left + side {
-            let channel = raw.cfa.channel(row, column);
+            let channel = raw.cfa().channel(row, column);
             let black = raw.black[CfaPattern::position(row, column)];
             let value = f64::from(raw.data[row * raw.width + column]);
             sums[channel] += (value - black) / (f64::from(raw.white) - black).max(1.0);
@@ -82,7 +82,8 @@ mod tests {
             width,
             height,
             margins: [0; 4],
-            cfa,
+            layout: crate::session::Layout::Bayer(cfa),
+            aperture: None,
             black: [100.0; 4],
             white: 1100,
             data: data.collect(),

@@ -79,8 +79,8 @@ impl Place {
         match (shot.kind, shot.config) {
             (FrameKind::White, _) => Self::White,
             (FrameKind::Reference, _) => Self::Reference,
-            (FrameKind::Sample, Some(id)) => Self::Configuration(id),
-            (FrameKind::Sample | FrameKind::Dark, _) => Self::Dark,
+            (FrameKind::Dark, _) | (_, None) => Self::Dark,
+            (_, Some(id)) => Self::Configuration(id),
         }
     }
 

@@ -46,6 +46,7 @@ fn taken(shot: &Shot, mean: [f64; 3], frames: usize, see: impl FnOnce(&Seen<'_>)
         requested_ms: None,
         repeat: 0,
         visit: 0,
+        filter: None,
         exposed: Some(Exposedness {
             peak: mean.map(|m| (1.5 * m).min(1.0)),
             mean,

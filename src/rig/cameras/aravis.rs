@@ -78,6 +78,7 @@ impl<'a> AravisCamera<'a> {
             height: attached.height,
             pixel_mm: rig.camera.pixel_mm,
             center_px: center_of(rig, attached.width, attached.height),
+            lens: Default::default(),
         };
         Ok(Self {
             id: id.map(str::to_owned),

@@ -157,6 +157,7 @@ fn facts_of(rig: &RigDescription, kind: &str) -> Result<CameraFacts> {
         height,
         pixel_mm: camera.pixel_mm,
         center_px: center_of(rig, width, height),
+        lens: Default::default(),
     })
 }
 

@@ -51,6 +51,7 @@ impl Camera for UvcCamera {
                 f64::from(size.width()) / 2.0,
                 f64::from(size.height()) / 2.0,
             ],
+            lens: Default::default(),
         }
     }
 

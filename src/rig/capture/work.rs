@@ -242,6 +242,7 @@ impl Loop<'_, '_> {
         // The shot counts only if nothing moved while the shutter was open.
         self.rig.verify()?;
         let record = FrameRecord {
+            filter: None,
             file: FrameRecord::standard_name(
                 self.history.len() + 1,
                 shot.kind,
