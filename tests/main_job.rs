@@ -28,10 +28,13 @@ fn text(path: &Path) -> &str {
 /// A coarse open weave, four poses, four numbers each: seconds instead of minutes.
 fn small_inputs(folder: &Path) -> [PathBuf; 3] {
     let fabric = folder.join("net.csv");
-    let mut csv = String::from("# tile_mm = [1.0, 1.0]\nx0,y0,z0,x1,y1,z1,radius_mm,yarn_system\n");
+    // A pitch that has no common measure with the camera's pixels (14 per millimeter): what falls exactly on the raster of the
+    // color filters cannot be told from the mean.
+    let mut csv =
+        String::from("# tile_mm = [0.97, 0.97]\nx0,y0,z0,x1,y1,z1,radius_mm,yarn_system\n");
     for i in 0..10 {
-        let at = 0.05 + 0.1 * f64::from(i);
-        csv += &format!("0,{at},0.05,1,{at},0.05,0.04,1\n{at},0,-0.05,{at},1,-0.05,0.04,0\n");
+        let at = 0.097 * (f64::from(i) + 0.5);
+        csv += &format!("0,{at},0.05,0.97,{at},0.05,0.04,1\n{at},0,-0.05,{at},0.97,-0.05,0.04,0\n");
     }
     std::fs::write(&fabric, csv).unwrap();
     let plan = folder.join("plan.toml");

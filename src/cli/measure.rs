@@ -236,8 +236,8 @@ fn tell(terminal: &Terminal, session: &SessionFolder, report: &MeasureReport) ->
         report.frames,
         report.hot_pixels,
         report.noise.source,
-        report.noise.variance_per_signal,
-        report.noise.variance_per_signal_se
+        report.noise.variance_per_signal[1],
+        report.noise.variance_per_signal_se[1]
     ));
     let messages = report
         .configurations

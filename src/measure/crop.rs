@@ -1,197 +1,95 @@
-//! One configuration: weighted means over the projected sample square, exposure by exposure, and what their variances
-//! are made of.
+//! One configuration: weighted means over the projected sample square, and what their variances are made of.
 //!
-//! With pixel weights `w_i` (area the pixel stands for), the white fit `F_i` and the standard's normalized radiance `K`, exposure e
-//! says
+//! With weights `w_i` (area the value stands for), the white fit `F_i`, the flat field `f_i`, the standard's normalized
+//! radiance `K` and the merged rates `x_i`,
 //!
 //! ```text
-//! m_e = sum_i g_i (raw_i - dark_i) / t_e,      g_i = w_i K / (F_i sum_j w_j)        (sums over one channel's pixels)
+//! M = sum_i g_i x_i,      g_i = w_i K / (F_i f_i sum_j w_j),      x_i = sum_e p_ie s_ie
 //! ```
 //!
-//! where `t_e` is the exposure time times the lamp's level then.
+//! over one channel's values, with `s_ie` the linear raw value less dark in exposure e and `p_ie` its weight over the sum of
+//! weights, over exposure time times the lamp's level.
 
-use super::frames::{Pixel, Region};
-use super::lamp::Level;
-use super::stack::Stack;
-use super::white::{Terms, White};
-use std::collections::HashMap;
+use super::linear::Response;
+use super::merge::Merged;
+use super::radiance::scale;
+use super::stack::{Stack, Target};
+use super::white::{Flat, Terms, White};
 
-/// One exposure of one configuration.
-pub(super) struct ExposureSums {
-    pub(super) exposure_ms: f64,
-    /// How messages call its first frame.
-    pub(super) title: String,
-    pub(super) level: Level,
-    pub(super) channels: [ChannelSums; 3],
-}
-
-/// One channel of one exposure. The variance of `mean` is `a shot + read + dark`, `a` the slope of the photon transfer.
-#[derive(Debug, Clone, Copy, Default)]
+/// One channel's mean over the crop, and its sensitivities.
+#[derive(Debug, Clone, Default)]
 pub(super) struct ChannelSums {
     pub(super) mean: f64,
-    /// `sum g^2 signal / (repeats t^2)`.
+    /// `sum g^2 p^2 signal / repeats`; times the slope of the photon transfer it is the variance of shot noise.
     pub(super) shot: f64,
-    /// `sum g^2 dark_variance / (repeats t^2)`.
+    /// `sum g^2 p^2 r^2 / repeats`.
     pub(super) read: f64,
-    /// `sum g^2 dark_variance / (dark frames t^2)`.
+    /// `sum g^2 p^2 r^2 / dark frames`.
     pub(super) dark: f64,
     /// Minus the derivative of `mean` by the coefficients of the white fit.
     pub(super) white: Terms,
+    /// By stack: the part of the mean that comes from it.
+    pub(super) shares: Vec<f64>,
+    /// Derivatives by the coefficients of the response curve.
+    pub(super) by_response: Vec<f64>,
+    /// Variance from the errors of the flat field's values.
+    pub(super) flat: f64,
+    /// `sum (g x)^2`.
+    pub(super) squares: f64,
 }
 
-/// Sums of one exposure.
-pub(super) fn exposure_sums(region: &Region, stack: &Stack, white: &White) -> ExposureSums {
-    let mut area = [0.0; 3];
-    for pixel in &region.pixels {
-        area[pixel.channel] += pixel.weight;
-    }
-    let mut channels = [ChannelSums::default(); 3];
-    for (pixel, &signal) in region.pixels.iter().zip(&stack.signal) {
-        let phi = white.terms(pixel.x, pixel.y);
-        let rate = white.rate(pixel.channel, &phi);
-        let g = pixel.weight * white.radiance[pixel.channel] / (rate * area[pixel.channel]);
-        let t = stack.time(pixel.channel);
-        let sums = &mut channels[pixel.channel];
-        let (m, g2) = (g * signal / t, g * g / (t * t));
+/// The sums of one channel.
+pub(super) fn channel_sums(
+    channel: usize,
+    merged: &Merged,
+    stacks: &[Stack],
+    target: &Target<'_>,
+    white: &White,
+    flat: Option<&Flat>,
+    response: &Response,
+) -> ChannelSums {
+    let mut sums = ChannelSums {
+        shares: vec![0.0; stacks.len()],
+        by_response: vec![0.0; response.order()],
+        ..ChannelSums::default()
+    };
+    let plane = merged.plane(channel);
+    let (mut flat_own, mut flat_both) = (0.0, 0.0);
+    for value in &target.weights.channels[channel] {
+        let i = value.index;
+        let at = target.window.pixel(i);
+        let g = value.weight / target.weights.total[channel] * scale(white, flat, channel, i, at);
+        let mut m = 0.0;
+        for share in plane.shares(stacks, i, channel) {
+            let s = &stacks[share.stack];
+            let signal = f64::from(s.signal[i]);
+            let factor = g * share.part;
+            m += factor * signal;
+            sums.shot += factor * factor * signal / s.repeats;
+            sums.read += factor * factor * s.dark_variance / s.repeats;
+            sums.dark += factor * factor * s.dark_variance / s.dark_count;
+            sums.shares[share.stack] += factor * signal;
+            for (k, sum) in sums.by_response.iter_mut().enumerate() {
+                *sum += factor * response.derivative(k, signal);
+            }
+        }
         sums.mean += m;
-        sums.shot += g2 * signal / stack.repeats;
-        sums.read += g2 * stack.dark_variance / stack.repeats;
-        sums.dark += g2 * stack.dark_variance / stack.dark_count;
+        sums.squares += m * m;
+        let phi = white.terms(at.0, at.1);
+        let rate = white.rate(channel, &phi);
         for (sum, term) in sums.white.iter_mut().zip(&phi) {
             *sum += m * term / rate;
         }
-    }
-    ExposureSums {
-        exposure_ms: stack.exposure_ms,
-        title: stack.title.clone(),
-        level: stack.level.clone(),
-        channels,
-    }
-}
-
-/// How far the mean over one channel's pixels may lie from the mean over the whole area, because a textured sample is
-/// seen through a filter on every second or fourth pixel only.
-///
-/// What disturbs a mean over every second pixel is texture at half a cycle per pixel: along x or y or both for red and
-/// blue, along both for green. Spectral densities there are estimated from differences, each passing 36 times the variance
-/// of texture that is uncorrelated from pixel to pixel and nothing of slow variations.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Texture {
-    /// Per channel, around a quarter cycle per pixel along both x and y.
-    quarter: [Differences; 3],
-    /// Greens, around a quarter cycle along x or y alone (mean of both).
-    quarter_edge: [Differences; 2],
-    /// Greens, around half a cycle along x or y alone.
-    half_edge: Differences,
-    /// [`Region::sampling`].
-    share: [f64; 3],
-}
-
-/// Mean square difference of normalized radiance, and what of it is noise: `a shot + constant`.
-#[derive(Debug, Clone, Copy, Default)]
-struct Differences {
-    square: f64,
-    shot: f64,
-    constant: f64,
-}
-
-impl Differences {
-    fn texture(&self, a: f64) -> f64 {
-        (self.square - a * self.shot - self.constant).max(0.0)
-    }
-}
-
-impl Texture {
-    /// Measures the texture of the crop on one exposure.
-    pub(super) fn measure(region: &Region, stack: &Stack, white: &White) -> Self {
-        let mut values = HashMap::with_capacity(region.pixels.len());
-        for (pixel, &signal) in region.pixels.iter().zip(&stack.signal) {
-            let rate = white.rate(pixel.channel, &white.terms(pixel.x, pixel.y));
-            let g = white.radiance[pixel.channel] / (rate * stack.time(pixel.channel));
-            values.insert((pixel.x, pixel.y), (g, signal));
-        }
-        let read = stack.dark_variance * (1.0 / stack.repeats + 1.0 / stack.dark_count);
-        let differences = |channel: usize, along: [Filter; 2]| {
-            let of_channel = region.pixels.iter().filter(|p| p.channel == channel);
-            mean_differences(of_channel, &values, along, stack.repeats, read)
-        };
-        const DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
-        const SUM: [f64; 3] = [1.0, 2.0, 1.0];
-        let (x, y) = ((2, 0), (0, 2));
-        Self {
-            quarter: [0, 1, 2].map(|c| differences(c, [(x, DIFFERENCE), (y, DIFFERENCE)])),
-            quarter_edge: [[DIFFERENCE, SUM], [SUM, DIFFERENCE]]
-                .map(|[u, v]| differences(1, [(x, u), (y, v)])),
-            half_edge: differences(1, [((1, 1), DIFFERENCE), ((1, -1), DIFFERENCE)]),
-            share: region.sampling,
+        if let Some(flat) = flat {
+            let variance = f64::from(flat.se[i]).powi(2);
+            flat_own += m * m * variance;
+            flat_both += m * white.share(channel, at) * variance;
         }
     }
-
-    /// The variance of a channel's mean from sampling texture at the filter's pixels, for photon-transfer slope `a`.
-    ///
-    /// Half a cycle along both x and y cannot be seen in any channel: it is extrapolated as if the spectrum were a product
-    /// `A(f_x) A(f_y)`. The shape of the spectrum is taken from the greens, its size from each channel.
-    pub(super) fn variance(&self, channel: usize, a: f64) -> f64 {
-        let quarter = self.quarter[1].texture(a);
-        let quarter_edge =
-            0.5 * (self.quarter_edge[0].texture(a) + self.quarter_edge[1].texture(a));
-        let edge = self.half_edge.texture(a);
-        let product = edge * edge * quarter / (quarter_edge * quarter_edge);
-        let corner = if product < edge { product } else { edge };
-        let density = if channel == 1 {
-            corner
-        } else {
-            let shape = (2.0 * edge + corner) / (3.0 * quarter);
-            let shape = if shape < 4.0 { shape } else { 4.0 };
-            self.quarter[channel].texture(a) * shape
-        };
-        self.share[channel] * density
-    }
-}
-
-/// A step in x and y, and the factors at minus one, zero and one step.
-type Filter = ((isize, isize), [f64; 3]);
-
-/// The mean square of the product of two filters over all pixels whose nine neighbors are there.
-fn mean_differences<'a>(
-    pixels: impl Iterator<Item = &'a Pixel>,
-    values: &HashMap<(usize, usize), (f64, f64)>,
-    along: [Filter; 2],
-    repeats: f64,
-    read: f64,
-) -> Differences {
-    let [(u, factors_u), (v, factors_v)] = along;
-    let mut sums = Differences::default();
-    let mut count = 0.0;
-    for pixel in pixels {
-        let mut difference = 0.0;
-        let (mut shot, mut constant) = (0.0, 0.0);
-        let mut whole = true;
-        for (i, factor_u) in (-1..=1).zip(factors_u) {
-            for (j, factor_v) in (-1..=1).zip(factors_v) {
-                let x = pixel.x.checked_add_signed(i * u.0 + j * v.0);
-                let y = pixel.y.checked_add_signed(i * u.1 + j * v.1);
-                let Some(&(g, signal)) = x.zip(y).and_then(|at| values.get(&at)) else {
-                    whole = false;
-                    continue;
-                };
-                let factor = factor_u * factor_v;
-                difference += factor * g * signal;
-                shot += factor * factor * g * g * signal / repeats;
-                constant += factor * factor * g * g * read;
-            }
-        }
-        if whole {
-            sums.square += difference * difference / 36.0;
-            sums.shot += shot / 36.0;
-            sums.constant += constant / 36.0;
-            count += 1.0;
-        }
-    }
-    if count > 0.0 {
-        sums.square /= count;
-        sums.shot /= count;
-        sums.constant /= count;
+    // The white standard was divided by the same flat field: what pixels have in common cancels.
+    sums.flat = flat_own - 2.0 * sums.mean * flat_both;
+    for k in 0..response.order() {
+        sums.by_response[k] -= white.by_response(channel, &sums.white, k);
     }
     sums
 }

@@ -4,6 +4,7 @@
 //! line may be off is told from how the visits bend. What it does not do: see a flicker between two visits.
 
 use super::frames::{Moment, Taken};
+use super::noise::Scatter;
 use super::visit::Visit;
 use serde::Serialize;
 
@@ -174,7 +175,7 @@ impl Lamp {
         sample: &[(f64, &Level)],
         white: &[(f64, &Level)],
         channel: usize,
-        a: f64,
+        scatter: &Scatter,
     ) -> f64 {
         let (mut own, mut first) = (0.0, 0.0);
         for (v, visit) in self.visits.iter().enumerate().skip(1) {
@@ -185,8 +186,8 @@ impl Lamp {
                 parts.sum()
             };
             let part = (part(sample) - part(white)) * visit.level[channel];
-            own += part * part * visit.own[channel].at(a);
-            first += part * visit.first[channel].at(a).sqrt();
+            own += part * part * visit.own[channel].at(scatter, channel);
+            first += part * visit.first[channel].at(scatter, channel).sqrt();
         }
         let unknown = |levels: &[(f64, &Level)]| -> f64 {
             levels.iter().map(|(w, l)| w * l.unknown).sum::<f64>() * self.unknown(channel)
@@ -214,10 +215,10 @@ impl Lamp {
         high / low
     }
 
-    pub(super) fn report(&self, a: f64) -> LampReport {
+    pub(super) fn report(&self, scatter: &Scatter) -> LampReport {
         let visits = self.visits.iter().enumerate().map(|(v, visit)| {
             let error = |c: usize| {
-                let relative = visit.own[c].at(a) + visit.first[c].at(a);
+                let relative = visit.own[c].at(scatter, c) + visit.first[c].at(scatter, c);
                 visit.level[c] * relative.sqrt()
             };
             LampVisit {

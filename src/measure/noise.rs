@@ -4,15 +4,27 @@
 //! raw value, 1 / gain in electrons per raw value) from pairs of frames of the same thing, where the texture cancels. Not
 //! modeled: a gain that differs between channels, and unequal pixels (their pattern repeats and cancels in pairs).
 
-use super::frames::{Region, same_exposure};
+use super::frames::same_exposure;
+use super::stack::Target;
+use crate::session::{Filter, Layout};
 use serde::Serialize;
 
-/// One frame's dark-subtracted raw values on a region.
+/// One frame's linear raw values less the dark, on a window.
 pub(super) struct Sample {
     pub(super) exposure_ms: f64,
-    pub(super) values: Vec<f64>,
+    pub(super) filter: Option<Filter>,
+    pub(super) values: Vec<f32>,
     pub(super) dark_variance: f64,
     pub(super) dark_count: f64,
+}
+
+/// How numbers scatter: within a frame and from frame to frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Scatter {
+    /// Slope of the photon transfer by channel, raw values.
+    pub(super) slope: [f64; 3],
+    /// Relative standard deviation of a frame's brightness (lamp, shutter) beyond the noise of its pixels.
+    pub(super) between_frames: f64,
 }
 
 /// One estimate of the slope: `y = a x`, with the variance of y.
@@ -26,11 +38,12 @@ pub(super) struct Cell {
 /// Where the noise of the session is known from.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NoiseReport {
-    /// Shot noise: variance per signal, raw values (1 / gain in electrons per raw value).
-    pub variance_per_signal: f64,
+    /// Shot noise: variance per signal, raw values (1 / gain in electrons per raw value), r, g, b.
+    pub variance_per_signal: [f64; 3],
     /// Its standard error.
-    pub variance_per_signal_se: f64,
-    /// `frame pairs` or, when there are none, `white residuals` (which count unequal pixels and a textured panel as noise).
+    pub variance_per_signal_se: [f64; 3],
+    /// `calibration`, `frame pairs` or, when there are none, `white residuals` (which count unequal pixels and a textured
+    /// panel as noise).
     pub source: &'static str,
     /// Estimates combined.
     pub cells: usize,
@@ -45,12 +58,22 @@ pub struct NoiseReport {
 /// a (S_1 + k^2 S_2) + r_1^2 + k^2 r_2^2 + variance of the darks subtracted
 /// ```
 ///
-/// One cell per place of the 2x2 block; none where the signal drowns in the dark's scatter.
-pub(super) fn pair_cells(first: &Sample, second: &Sample, region: &Region) -> Vec<Cell> {
+/// One cell per place of the layout; none where the signal drowns in the dark's scatter.
+pub(super) fn pair_cells(first: &Sample, second: &Sample, target: &Target<'_>) -> Vec<Cell> {
+    if first.filter != second.filter {
+        return Vec::new();
+    }
+    let window = &target.window;
+    let channels = match window.layout {
+        // Its values stand for all channels alike.
+        Layout::Mono => 0..1,
+        Layout::Bayer(_) | Layout::Rgb => 0..3,
+    };
     let mut sums = [[0.0f64; 6]; 4];
-    for (i, pixel) in region.pixels.iter().enumerate() {
-        let (p, q) = (first.values[i], second.values[i]);
-        let sum = &mut sums[pixel.place];
+    for value in channels.flat_map(|c| &target.weights.channels[c]) {
+        let i = value.index;
+        let (p, q) = (f64::from(first.values[i]), f64::from(second.values[i]));
+        let sum = &mut sums[window.place(i)];
         for (s, v) in sum.iter_mut().zip([1.0, p, q, p * p, p * q, q * q]) {
             *s += v;
         }

@@ -1,32 +1,33 @@
 //! A session's frames to its intensities.
 
-use super::crop::{ChannelSums, ExposureSums, Texture, exposure_sums};
+use super::calibration::{Calibrations, Header};
 use super::dark::Darks;
-use super::frames::{Loader, Region, Taken, taken};
-use super::lamp::{Lamp, Level};
-use super::noise::{self, Cell, NoiseReport};
-use super::report::{Budget, Condition, ConfigurationReport, MeasureOptions, MeasureReport};
-use super::stack::{Stack, read_stacks};
+use super::field::{Weights, Window};
+use super::frames::{Loader, Taken, taken};
+use super::geometry::GeometryErrors;
+use super::lamp::Lamp;
+use super::linear::Response;
+use super::noise::{self, Cell, NoiseReport, Scatter};
+use super::reading::{Crop, Reader, Reading};
+use super::reduce::Reducer;
+use super::repeat::{Deviation, between_frames, deviations};
+use super::report::{MeasureOptions, MeasureReport};
+use super::stack::{Target, read_stacks};
 use super::visit::read_lamp;
-use super::white::{TERMS, White};
+use super::white::{Flat, White, WhitePlace};
+use super::{Unviewed, Viewer};
 use crate::base::{Context, Error, Result, Watch};
 use crate::session::{
-    Configuration, Coverage, Event, FrameKind, Intensity, Manifest, Measurements, Projection,
-    SessionFolder, read_journal,
+    CameraFacts, Configuration, Event, FrameKind, Manifest, Measurements, Plan, SessionFolder,
+    WhiteReference, read_journal,
 };
 use rayon::prelude::*;
 
-/// One configuration, read but not yet reduced.
-struct Reading {
-    configuration: Configuration,
-    area_px: f64,
-    sums: Vec<ExposureSums>,
-    texture: Texture,
-    cells: Vec<Cell>,
-    /// What saturated, when nothing is usable.
-    saturated: Option<String>,
-    captured: bool,
-}
+/// Pixels around a crop that are read with it: interpolation, texture and blooming look that far.
+const MARGIN: usize = 6;
+
+/// Shot noise is taken as this, (raw value)^2 per raw value, where nothing is known yet; it steers weights only.
+const SLOPE_GUESS: f64 = 0.3;
 
 /// Measures a session: the mean normalized radiance of the sample square in every configuration, with standard errors.
 ///
@@ -35,11 +36,24 @@ struct Reading {
 ///
 /// # Errors
 /// When a journaled frame is missing, changed, of another size, exposure or camera; there is no white frame, or no dark
-/// of some exposure; a dark is brighter than a frame; a crop leaves the image; noise cannot be estimated; the work was
-/// interrupted; or no configuration is left.
+/// of some exposure; a dark is brighter than a frame; a crop leaves the image; a calibration is of another camera; noise
+/// cannot be estimated; the work was interrupted; or no configuration is left.
 pub fn measure_session(
     session: &SessionFolder,
     options: &MeasureOptions,
+    watch: &dyn Watch,
+) -> Result<(Measurements, MeasureReport)> {
+    measure_viewed(session, options, &Unviewed, watch)
+}
+
+/// As [`measure_session`], with somebody looking on.
+///
+/// # Errors
+/// As [`measure_session`], or what the viewer returns.
+pub fn measure_viewed(
+    session: &SessionFolder,
+    options: &MeasureOptions,
+    viewer: &dyn Viewer,
     watch: &dyn Watch,
 ) -> Result<(Measurements, MeasureReport)> {
     let manifest = session.manifest()?;
@@ -47,99 +61,413 @@ pub fn measure_session(
     let journal = read_journal(&session.journal_path())?;
     let finished = journal.iter().any(|e| e.event == Event::Finished);
     let frames = taken(journal);
-    check_frames(&frames, finished, |id| plan.configuration(id).is_some())?;
-    let coverages = plan
-        .configurations
-        .iter()
-        .map(|c| Projection::new(&manifest.camera, c).coverage(manifest.sample_square_mm))
-        .collect::<Result<Vec<_>>>()?;
-    let loader = Loader::new(session, &manifest, &frames, watch)?;
-    let of_kind = |kind: FrameKind| -> Vec<&Taken> {
-        frames.iter().filter(|f| f.record.kind == kind).collect()
+    let known = &options.calibrations;
+    check_calibrations(known, &manifest)?;
+    let needs_white = known.white.is_none();
+    check_frames(&frames, finished, needs_white, |id| {
+        plan.configuration(id).is_some()
+    })?;
+    let loader = Loader::new(session, &manifest, &frames, watch)?.viewed_by(viewer);
+    let work = Work {
+        manifest: &manifest,
+        plan: &plan,
+        options,
+        frames: &frames,
+        loader: &loader,
+        viewer,
+        camera: calibrated(&manifest.camera, known),
     };
-    let darks = Darks::read(&loader, &of_kind(FrameKind::Dark), options.hot_sigma)?;
-    let references = of_kind(FrameKind::Reference);
-    let (mut lamp, mut cells) = follow_lamp(&loader, &manifest, &references, &darks, options)?;
-    let whites = of_kind(FrameKind::White);
-    lamp.note_white(&whites);
-
-    let bounds = union(&coverages, darks.size);
-    let white_region = Region::whole_box(bounds, darks.size[0], darks.cfa, &darks.hot);
-    let (white_stacks, white_cells) = read_stacks(
-        &loader,
-        &whites,
-        &white_region,
-        &darks,
-        &lamp,
-        options.usable_fraction,
-    )?;
-    cells.extend(white_cells);
-    let white = White::fit(&manifest, &white_region, bounds, &white_stacks)?;
-    drop(white_stacks);
-
-    let readings: Vec<Result<Reading>> = plan
-        .configurations
-        .par_iter()
-        .zip(&coverages)
-        .map(|(c, coverage)| {
-            let own =
-                |f: &&Taken| f.record.kind == FrameKind::Sample && f.record.config == Some(c.id);
-            let own: Vec<&Taken> = frames.iter().filter(own).collect();
-            let region = Region::covered(coverage, darks.size, darks.cfa, &darks.hot);
-            let (stacks, cells) = read_stacks(
-                &loader,
-                &own,
-                &region,
-                &darks,
-                &lamp,
-                options.usable_fraction,
-            )?;
-            Ok(Reading::of(c, coverage, &region, &stacks, cells, &white))
-        })
-        .collect();
-    let readings = readings.into_iter().collect::<Result<Vec<_>>>()?;
-
-    cells.extend(readings.iter().flat_map(|r| &r.cells));
-    let noise = noise_report(&cells, &white, &darks)?;
-    let a = noise.variance_per_signal;
-    let mut intensities = Vec::new();
-    let mut reports = Vec::new();
-    for reading in &readings {
-        let (intensity, report) = reduce(reading, &white, &lamp, &manifest, a, options)?;
-        intensities.extend(intensity);
-        reports.push(report);
-    }
-    let mut warnings = warnings(&darks, &noise, &white, a);
-    let lit = frames.iter().filter(|f| f.record.kind != FrameKind::Dark);
-    warnings.extend(lamp.warnings(lit.map(|f| f.moment)));
-    let report = MeasureReport {
-        synthetic: manifest.synthetic,
-        warnings,
-        lamp: lamp.report(a),
-        white: white.report(a),
-        noise,
-        hot_pixels: darks.hot.iter().filter(|&&h| h).count(),
-        frames: frames.len(),
-        configurations: reports,
-    };
-    if intensities.is_empty() {
-        let reasons: Vec<&str> = report
-            .configurations
-            .iter()
-            .filter_map(|c| c.message.as_deref())
-            .collect();
-        return Err(Error::new(format!(
-            "no configuration could be measured: {}",
-            reasons.join("; ")
-        ))
-        .with_hint(
-            "choose exposures so that the brightest pixel of the crop stays below the white level",
-        ));
-    }
-    Ok((Measurements { intensities }, report))
+    work.measure()
 }
 
-fn check_frames(frames: &[Taken], finished: bool, known: impl Fn(u32) -> bool) -> Result<()> {
+/// One session being measured.
+struct Work<'a> {
+    manifest: &'a Manifest,
+    plan: &'a Plan,
+    options: &'a MeasureOptions,
+    frames: &'a [Taken],
+    loader: &'a Loader<'a>,
+    viewer: &'a dyn Viewer,
+    camera: CameraFacts,
+}
+
+impl Work<'_> {
+    fn of_kind(&self, kind: FrameKind) -> Vec<&Taken> {
+        let of_kind = |f: &&Taken| f.record.kind == kind;
+        self.frames.iter().filter(of_kind).collect()
+    }
+
+    fn crop(&self, configuration: &Configuration) -> Result<Crop> {
+        let side_mm = self.manifest.sample_square_mm;
+        Crop::of(self.options.crop, &self.camera, configuration, side_mm)
+    }
+
+    fn measure(&self) -> Result<(Measurements, MeasureReport)> {
+        let options = self.options;
+        let known = &options.calibrations;
+        let configurations = &self.plan.configurations;
+        let crops: Vec<Crop> = configurations
+            .iter()
+            .map(|c| self.crop(c))
+            .collect::<Result<_>>()?;
+        let reference = self.white_reference()?;
+        let reference_crop = self
+            .crop(&reference.configuration)
+            .context(|| "reference geometry")?;
+        let errors = GeometryErrors::new(known.geometry.as_ref().map(|g| &g.value), options.pose);
+        let margin = MARGIN + errors.margin(&self.camera, self.manifest.sample_square_mm);
+        let size = [self.camera.width, self.camera.height];
+        let all = crops.iter().chain([&reference_crop]).map(|c| &c.coverage);
+        let field = Window::around(all, margin, size, self.loader.layout(self.frames)?);
+        let mut darks = Darks::read(
+            self.loader,
+            &self.of_kind(FrameKind::Dark),
+            field,
+            Response::new(known.linearity.as_ref().map(|l| &l.value)),
+            known.dark.as_ref().map(|d| &d.value),
+            options.hot_sigma,
+        )?;
+        let flat_map = known.flat.as_ref().map(|f| &f.value);
+        if let Some(flat) = Flat::of(flat_map, &field) {
+            darks.leave_out_blind(&flat);
+        }
+
+        let on_reference = Window::around([&reference_crop.coverage], margin, size, field.layout);
+        let hot = darks.hot_on(&on_reference);
+        let reference_weights = Weights::covered(&reference_crop.coverage, &on_reference, &hot);
+        let reference_target = Target {
+            window: on_reference,
+            weights: &reference_weights,
+            hot: &hot,
+        };
+        let references = self.of_kind(FrameKind::Reference);
+        let (mut lamp, mut cells) = if references.is_empty() {
+            (Lamp::default(), Vec::new())
+        } else {
+            read_lamp(self.loader, &references, &reference_target, &darks, options)?
+        };
+        let whites = self.of_kind(FrameKind::White);
+        lamp.note_white(&whites);
+
+        let whole = Weights::whole(&field, &darks.hot);
+        let flat = Flat::of(flat_map, &on_reference);
+        let place = WhitePlace {
+            target: match flat {
+                Some(_) => reference_target,
+                None => Target {
+                    window: field,
+                    weights: &whole,
+                    hot: &darks.hot,
+                },
+            },
+            flat: flat.as_ref(),
+            center: self.camera.center_px,
+        };
+        let mut scattering = Vec::new();
+        let white = match (&known.white, whites.is_empty()) {
+            (Some(known), true) => White::known(&known.value, &place),
+            _ => {
+                let target = &place.target;
+                let read = read_stacks(self.loader, &whites, target, &darks, &lamp, options)?;
+                let (stacks, more) = read;
+                cells.extend(more);
+                scattering.extend(deviations(&stacks, target.weights));
+                White::fit(&reference, &place, &stacks, &darks.response)?
+            }
+        };
+
+        let reader = Reader {
+            loader: self.loader,
+            frames: self.frames,
+            camera: &self.camera,
+            side_mm: self.manifest.sample_square_mm,
+            darks: &darks,
+            lamp: &lamp,
+            white: &white,
+            errors,
+            margin,
+            scatter: Scatter {
+                slope: self.slope_beforehand(&cells, &white),
+                between_frames: 0.0,
+            },
+            options,
+            viewer: self.viewer,
+        };
+        let read = configurations.par_iter().zip(&crops);
+        let read: Vec<Result<Reading>> = read.map(|(c, crop)| reader.read(c, crop)).collect();
+        let readings = read.into_iter().collect::<Result<Vec<_>>>()?;
+
+        cells.extend(readings.iter().flat_map(|r| &r.cells));
+        let noise = self.noise(&cells, &white, &darks)?;
+        scattering.extend(readings.iter().flat_map(|r| &r.deviations));
+        let between = self.between_frames(&scattering, noise.variance_per_signal);
+        let reducer = Reducer {
+            white: &white,
+            white_flat: flat.as_ref(),
+            white_pose: &reference.configuration,
+            lamp: &lamp,
+            response: &darks.response,
+            errors,
+            scatter: Scatter {
+                slope: noise.variance_per_signal,
+                between_frames: between.unwrap_or(0.0),
+            },
+            color: known
+                .color
+                .as_ref()
+                .filter(|_| options.color)
+                .map(|c| &c.value),
+            options,
+        };
+        let mut intensities = Vec::new();
+        let mut reports = Vec::new();
+        for reading in &readings {
+            let (intensity, report) = reducer.reduce(reading)?;
+            intensities.extend(intensity);
+            reports.push(report);
+        }
+        let scatter = reducer.scatter;
+        let mut warnings = self.warnings(&darks, &noise, &white, &scatter, between);
+        let lit = self
+            .frames
+            .iter()
+            .filter(|f| f.record.kind != FrameKind::Dark);
+        warnings.extend(lamp.warnings(lit.map(|f| f.moment)));
+        let report = MeasureReport {
+            synthetic: self.manifest.synthetic,
+            rgb: reducer
+                .color
+                .map_or("camera".to_owned(), |c| c.space.clone()),
+            calibrations: used(known, options),
+            warnings,
+            lamp: lamp.report(&scatter),
+            white: white.report(&scatter),
+            noise,
+            between_frames: between,
+            hot_pixels: darks.hot.iter().filter(|&&h| h).count() / field.layout.values_per_pixel(),
+            frames: self.frames.len(),
+            configurations: reports,
+        };
+        if intensities.is_empty() {
+            return Err(nothing_left(&report));
+        }
+        Ok((Measurements { intensities }, report))
+    }
+
+    /// The white standard as the session states it, or as a calibration knows it better.
+    fn white_reference(&self) -> Result<WhiteReference> {
+        let mut reference = self.manifest.white.clone();
+        let Some(known) = self.options.calibrations.white.as_ref().map(|w| &w.value) else {
+            return Ok(reference);
+        };
+        let pose = &reference.configuration;
+        let apart = |a: f64, b_deg: f64| (a.to_degrees() - b_deg).abs() > 0.5;
+        if apart(pose.light.theta, known.light_theta_deg)
+            || apart(pose.camera.theta, known.camera_theta_deg)
+        {
+            return Err(Error::new(format!(
+                "the white calibration of '{}' is for light {} and camera {} degrees, the session's white standard was shot at light {} and camera {} degrees",
+                known.panel,
+                known.light_theta_deg,
+                known.camera_theta_deg,
+                pose.light.theta.to_degrees(),
+                pose.camera.theta.to_degrees()
+            ))
+            .with_hint("a panel is not equally white at all angles: calibrate it at the session's reference geometry"));
+        }
+        reference.reflectance_factor = known.reflectance_factor;
+        reference.reflectance_factor_se = known.reflectance_factor_se;
+        Ok(reference)
+    }
+
+    /// What is known of shot noise before the samples are read.
+    fn slope_beforehand(&self, cells: &[Cell], white: &White) -> [f64; 3] {
+        if let Some(known) = &self.options.calibrations.linearity {
+            return known.value.transfer.variance_per_signal;
+        }
+        let guess = noise::slope(cells).or_else(|| noise::slope(&white.residual_cells()));
+        let positive = guess.map(|g| g.0).filter(|&slope| slope > 0.0);
+        [positive.unwrap_or(SLOPE_GUESS); 3]
+    }
+
+    fn noise(&self, cells: &[Cell], white: &White, darks: &Darks) -> Result<NoiseReport> {
+        let dark_sigma = darks
+            .masters
+            .iter()
+            .map(|d| (d.exposure_ms, d.variance.sqrt()))
+            .collect();
+        if let Some(known) = &self.options.calibrations.linearity {
+            let transfer = &known.value.transfer;
+            return Ok(NoiseReport {
+                variance_per_signal: transfer.variance_per_signal,
+                variance_per_signal_se: transfer.variance_per_signal_se,
+                source: "calibration",
+                cells: transfer.points.len(),
+                dark_sigma,
+            });
+        }
+        let residuals = white.residual_cells();
+        let (cells, source) = if cells.is_empty() {
+            (&residuals[..], "white residuals")
+        } else {
+            (cells, "frame pairs")
+        };
+        let (slope, se) = noise::slope(cells).ok_or_else(|| {
+            Error::new("the noise of the frames cannot be estimated")
+                .with_hint("take every shot twice, or at two exposures that are not saturated")
+        })?;
+        Ok(NoiseReport {
+            variance_per_signal: [slope; 3],
+            variance_per_signal_se: [se; 3],
+            source,
+            cells: cells.len(),
+            dark_sigma,
+        })
+    }
+
+    /// The scatter from frame to frame: of this session if it shows, or else as a calibration says.
+    fn between_frames(&self, deviations: &[Deviation], slope: [f64; 3]) -> Option<f64> {
+        let own = between_frames(deviations, slope).map(|(sd, _)| sd);
+        let known = || {
+            self.options
+                .calibrations
+                .drift
+                .as_ref()
+                .map(|d| d.value.flicker)
+        };
+        own.filter(|sd| *sd > 0.0).or_else(known).or(own)
+    }
+
+    fn warnings(
+        &self,
+        darks: &Darks,
+        noise: &NoiseReport,
+        white: &White,
+        scatter: &Scatter,
+        between: Option<f64>,
+    ) -> Vec<String> {
+        let mut warnings = Vec::new();
+        let known = &self.options.calibrations;
+        if darks.masters.iter().any(|d| !d.from_repeats) && known.dark.is_none() {
+            warnings.push(
+                "only one dark frame of some exposure: its read noise is the scatter over pixels"
+                    .to_owned(),
+            );
+        }
+        if noise.source == "white residuals" {
+            warnings.push(
+                "no two frames show the same thing unsaturated: shot noise is the scatter of the white panel's image"
+                    .to_owned(),
+            );
+        }
+        if white.from_calibration {
+            warnings.push(
+                "no white frames: the lamp is taken to be as bright as when the white standard was calibrated, +- 2 %"
+                    .to_owned(),
+            );
+            if known.flat.is_none() {
+                warnings.push(
+                    "no white frames and no flat field: vignetting is not corrected".to_owned(),
+                );
+            }
+        }
+        if between.is_none() {
+            warnings.push(
+                "too few repeats to tell how much lamp and shutter differ from frame to frame: shoot every frame twice"
+                    .to_owned(),
+            );
+        }
+        let missing = self.loader.without_exif();
+        if missing > 0 {
+            warnings.push(format!(
+                "{missing} frames do not say how long they were exposed: the journal's times are believed"
+            ));
+        }
+        let chi_square = white.report(scatter).chi_square_per_pixel;
+        let worst = chi_square.into_iter().fold(0.0, f64::max);
+        if worst > 1.5 {
+            warnings.push(format!(
+                "the white panel is uneven: its image scatters {:.1} times as much as noise explains; standard errors are widened",
+                worst.sqrt()
+            ));
+        }
+        warnings
+    }
+}
+
+/// The camera with the scale, pointing and lens a calibration found.
+fn calibrated(camera: &CameraFacts, known: &Calibrations) -> CameraFacts {
+    let mut camera = camera.clone();
+    if let Some(geometry) = known.geometry.as_ref().map(|g| &g.value) {
+        camera.pixel_mm = geometry.pixel_mm;
+        camera.center_px = geometry.center_px;
+        camera.lens = geometry.lens;
+    }
+    camera
+}
+
+/// The headers of the calibrations that are used.
+fn used(known: &Calibrations, options: &MeasureOptions) -> Vec<Header> {
+    let color = known.color.as_ref().filter(|_| options.color);
+    let headers = [
+        known.dark.as_ref().map(|d| &d.header),
+        known.linearity.as_ref().map(|d| &d.header),
+        known.flat.as_ref().map(|d| &d.header),
+        known.white.as_ref().map(|d| &d.header),
+        known.geometry.as_ref().map(|d| &d.header),
+        known.drift.as_ref().map(|d| &d.header),
+        color.map(|d| &d.header),
+    ];
+    headers.into_iter().flatten().cloned().collect()
+}
+
+fn check_calibrations(known: &Calibrations, manifest: &Manifest) -> Result<()> {
+    let all = MeasureOptions {
+        color: true,
+        ..MeasureOptions::default()
+    };
+    let camera = &manifest.camera;
+    for header in used(known, &all) {
+        let here = [camera.width, camera.height];
+        if header.size_px != here || header.camera != camera.name {
+            return Err(Error::new(format!(
+                "the {} calibration of {} is of camera '{}' with {} x {} pixels, the session's is '{}' with {} x {}",
+                header.kind.name(),
+                header.date_utc,
+                header.camera,
+                header.size_px[0],
+                header.size_px[1],
+                camera.name,
+                camera.width,
+                camera.height
+            ))
+            .with_hint("give the calibration folder of the rig the session was captured with"));
+        }
+    }
+    Ok(())
+}
+
+fn nothing_left(report: &MeasureReport) -> Error {
+    let reasons: Vec<&str> = report
+        .configurations
+        .iter()
+        .filter_map(|c| c.message.as_deref())
+        .collect();
+    Error::new(format!(
+        "no configuration could be measured: {}",
+        reasons.join("; ")
+    ))
+    .with_hint(
+        "choose exposures so that the brightest pixel of the crop stays below the white level",
+    )
+}
+
+fn check_frames(
+    frames: &[Taken],
+    finished: bool,
+    needs_white: bool,
+    known: impl Fn(u32) -> bool,
+) -> Result<()> {
     let records = || frames.iter().map(|f| &f.record);
     for record in records().filter(|r| r.kind == FrameKind::Sample) {
         if !record.config.is_some_and(&known) {
@@ -151,271 +479,19 @@ fn check_frames(frames: &[Taken], finished: bool, known: impl Fn(u32) -> bool) -
         }
     }
     for kind in [FrameKind::Sample, FrameKind::White, FrameKind::Dark] {
+        if kind == FrameKind::White && !needs_white {
+            continue;
+        }
         if !records().any(|r| r.kind == kind) {
             return Err(Error::new(format!(
                 "the session has no {} frames",
                 kind.name()
             ))
             .with_hint(if finished {
-                "a session needs sample frames, white frames, and dark frames of every exposure used"
+                "a session needs sample frames, white frames (or a white calibration), and dark frames of every exposure used"
             } else {
                 "the capture did not finish: go on with it (`goniofit capture --resume DIR`), then measure"
             }));
-        }
-    }
-    Ok(())
-}
-
-/// Follows the lamp over the visits of the reference pose, if there are any.
-fn follow_lamp(
-    loader: &Loader<'_>,
-    manifest: &Manifest,
-    references: &[&Taken],
-    darks: &Darks,
-    options: &MeasureOptions,
-) -> Result<(Lamp, Vec<Cell>)> {
-    if references.is_empty() {
-        return Ok((Lamp::default(), Vec::new()));
-    }
-    let coverage = Projection::new(&manifest.camera, &manifest.white.configuration)
-        .coverage(manifest.sample_square_mm)
-        .context(|| "reference geometry")?;
-    let region = Region::covered(&coverage, darks.size, darks.cfa, &darks.hot);
-    read_lamp(loader, references, &region, darks, options.usable_fraction)
-}
-
-/// The box around all crops and the pixels next to them.
-fn union(coverages: &[Coverage], [width, height]: [usize; 2]) -> [usize; 4] {
-    let start = [usize::MAX, usize::MAX, 0, 0];
-    let [left, top, right, bottom] = coverages.iter().map(Coverage::bounds).fold(start, |a, b| {
-        [
-            a[0].min(b[0]),
-            a[1].min(b[1]),
-            a[2].max(b[2]),
-            a[3].max(b[3]),
-        ]
-    });
-    [
-        left.saturating_sub(1),
-        top.saturating_sub(1),
-        (right + 1).min(width),
-        (bottom + 1).min(height),
-    ]
-}
-
-impl Reading {
-    fn of(
-        configuration: &Configuration,
-        coverage: &Coverage,
-        region: &Region,
-        stacks: &[Stack],
-        cells: Vec<Cell>,
-        white: &White,
-    ) -> Self {
-        let usable = || stacks.iter().filter(|s| s.clipped == 0);
-        let saturated = match (usable().next(), stacks.first()) {
-            (None, Some(shortest)) => {
-                let [left, top, right, bottom] = coverage.bounds();
-                Some(format!(
-                    "saturated: {} of {} pixels of {} are too bright (crop in columns {left} to {right}, rows {top} to {bottom})",
-                    shortest.clipped,
-                    region.pixels.len(),
-                    shortest.title
-                ))
-            }
-            _ => None,
-        };
-        Self {
-            configuration: *configuration,
-            area_px: coverage.area(),
-            sums: usable().map(|s| exposure_sums(region, s, white)).collect(),
-            texture: usable()
-                .next_back()
-                .map(|s| Texture::measure(region, s, white))
-                .unwrap_or_default(),
-            cells,
-            saturated,
-            captured: !stacks.is_empty(),
-        }
-    }
-}
-
-fn noise_report(cells: &[Cell], white: &White, darks: &Darks) -> Result<NoiseReport> {
-    let residuals = white.residual_cells();
-    let (cells, source) = if cells.is_empty() {
-        (&residuals[..], "white residuals")
-    } else {
-        (cells, "frame pairs")
-    };
-    let (slope, se) = noise::slope(cells).ok_or_else(|| {
-        Error::new("the noise of the frames cannot be estimated")
-            .with_hint("take every shot twice, or at two exposures that are not saturated")
-    })?;
-    Ok(NoiseReport {
-        variance_per_signal: slope,
-        variance_per_signal_se: se,
-        source,
-        cells: cells.len(),
-        dark_sigma: darks
-            .masters
-            .iter()
-            .map(|d| (d.exposure_ms, d.variance.sqrt()))
-            .collect(),
-    })
-}
-
-fn warnings(darks: &Darks, noise: &NoiseReport, white: &White, a: f64) -> Vec<String> {
-    let mut warnings = Vec::new();
-    if darks.masters.iter().any(|d| !d.from_repeats) {
-        warnings.push(
-            "only one dark frame of some exposure: its read noise is the scatter over pixels"
-                .to_owned(),
-        );
-    }
-    if noise.source == "white residuals" {
-        warnings.push(
-            "no two frames show the same thing unsaturated: shot noise is the scatter of the white panel's image"
-                .to_owned(),
-        );
-    }
-    let worst = white
-        .report(a)
-        .chi_square_per_pixel
-        .into_iter()
-        .fold(0.0, f64::max);
-    if worst > 1.5 {
-        warnings.push(format!(
-            "the white panel is uneven: its image scatters {:.1} times as much as noise explains; standard errors are widened",
-            worst.sqrt()
-        ));
-    }
-    warnings
-}
-
-/// Combines the exposures of one configuration by inverse variance.
-fn reduce(
-    reading: &Reading,
-    white: &White,
-    lamp: &Lamp,
-    manifest: &Manifest,
-    a: f64,
-    options: &MeasureOptions,
-) -> Result<(Option<Intensity>, ConfigurationReport)> {
-    let id = reading.configuration.id;
-    let mut report = ConfigurationReport {
-        config: id,
-        condition: Condition::Good,
-        measured: false,
-        message: None,
-        exposures_ms: reading.sums.iter().map(|s| s.exposure_ms).collect(),
-        area_px: reading.area_px,
-        budget: [Budget::default(); 3],
-    };
-    if !reading.captured {
-        report.condition = Condition::NotCaptured;
-        report.message = Some(format!(
-            "configuration {id}: the journal has no frame of it"
-        ));
-        return Ok((None, report));
-    }
-    if let Some(saturated) = &reading.saturated {
-        report.condition = Condition::Saturated;
-        report.message = Some(format!("configuration {id} is {saturated}"));
-        return Ok((None, report));
-    }
-    let mut mean = [0.0; 3];
-    for (channel, mean) in mean.iter_mut().enumerate() {
-        let factor_se = manifest.white.reflectance_factor_se[channel]
-            / manifest.white.reflectance_factor[channel];
-        check_dark(reading, channel, a)?;
-        let (value, mut budget) = combine(&reading.sums, white, lamp, channel, a);
-        budget.sampling = reading.texture.variance(channel, a).sqrt();
-        budget.reference = value.abs() * factor_se;
-        *mean = value;
-        report.budget[channel] = budget;
-        if !value.is_finite() || !budget.total().is_finite() {
-            return Err(Error::new(format!(
-                "configuration {id}: channel {channel} came out as {value} +- {}",
-                budget.total()
-            )));
-        }
-    }
-    report.measured = mean.iter().all(|&m| m > 0.0);
-    let noisy = (0..3).any(|c| report.budget[c].noise() > options.underexposed * mean[c]);
-    if noisy || !report.measured {
-        report.condition = Condition::UnderExposed;
-        let longest = report.exposures_ms.last().copied().unwrap_or(0.0);
-        report.message = Some(format!(
-            "configuration {id} is under-exposed: {mean:.2?} with noise {:.2?} at exposures up to {longest} ms{}",
-            report.budget.map(|b| b.noise()),
-            if report.measured { "" } else { "; left out" }
-        ));
-    }
-    let intensity = report.measured.then(|| Intensity {
-        configuration: reading.configuration,
-        mean,
-        standard_error: report.budget.map(|b| b.total()),
-    });
-    Ok((intensity, report))
-}
-
-/// One channel's mean over all usable exposures, and its budget without sampling and reference.
-fn combine(
-    exposures: &[ExposureSums],
-    white: &White,
-    lamp: &Lamp,
-    channel: usize,
-    a: f64,
-) -> (f64, Budget) {
-    let sums = || exposures.iter().map(|e| &e.channels[channel]);
-    let weights: Vec<f64> = sums().map(|s| 1.0 / variance(s, a)).collect();
-    let total: f64 = weights.iter().sum();
-    let (mut value, mut shot, mut read, mut dark) = (0.0, 0.0, 0.0, 0.0);
-    let mut phi = [0.0; TERMS];
-    for (s, weight) in sums().zip(&weights) {
-        let w = weight / total;
-        value += w * s.mean;
-        shot += w * w * a * s.shot.max(0.0);
-        read += w * w * s.read;
-        dark += w * w * s.dark;
-        for (p, t) in phi.iter_mut().zip(&s.white) {
-            *p += w * t;
-        }
-    }
-    let levels = exposures.iter().zip(&weights);
-    let levels: Vec<(f64, &Level)> = levels.map(|(e, w)| (w / total, &e.level)).collect();
-    let white_levels: Vec<(f64, &Level)> = white.levels.iter().map(|(w, l)| (*w, l)).collect();
-    let drift = lamp.relative_variance(&levels, &white_levels, channel, a);
-    let budget = Budget {
-        shot: shot.sqrt(),
-        read: read.sqrt(),
-        dark: dark.sqrt(),
-        white: white.variance(channel, &phi, a).sqrt(),
-        drift: value.abs() * drift.sqrt(),
-        ..Budget::default()
-    };
-    (value, budget)
-}
-
-fn variance(sums: &ChannelSums, a: f64) -> f64 {
-    a * sums.shot.max(0.0) + sums.read + sums.dark
-}
-
-/// Fails when a frame is darker than its dark by more than noise explains.
-fn check_dark(reading: &Reading, channel: usize, a: f64) -> Result<()> {
-    for exposure in &reading.sums {
-        let sums = &exposure.channels[channel];
-        let deviation = sums.mean / variance(sums, a).sqrt();
-        if deviation < -6.0 {
-            return Err(Error::new(format!(
-                "{}: the dark frame is brighter than the sample frame ({:.1} standard errors, {})",
-                exposure.title,
-                -deviation,
-                ["red", "green", "blue"][channel]
-            ))
-            .with_hint(
-                "was the light on for the dark frames, or did the sensor warm up? take darks again",
-            ));
         }
     }
     Ok(())

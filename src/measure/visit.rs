@@ -4,25 +4,31 @@
 //! time; its level is that rate over the first visit's, on the exposures usable in both. Texture, vignetting and shutter
 //! cancel in the ratio. A pose that is not come back to exactly does not.
 
+use super::MeasureOptions;
 use super::dark::Darks;
-use super::frames::{Loader, Moment, Region, Taken, same_exposure};
+use super::field::Weights;
+use super::frames::{Loader, Moment, Taken, same_exposure};
 use super::lamp::Lamp;
-use super::noise::Cell;
-use super::stack::{Stack, read_stacks};
+use super::noise::{Cell, Scatter};
+use super::stack::{Stack, Target, read_stacks};
 use crate::base::{Error, Result};
+use crate::session::Filter;
 use rayon::prelude::*;
 
-/// A relative variance, `a shot + rest` with `a` the slope of the photon transfer.
+/// A relative variance, `a shot + rest + f^2 flicker` with `a` the slope of the photon transfer and `f` the relative
+/// standard deviation from frame to frame.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Variance {
     shot: f64,
     rest: f64,
+    flicker: f64,
 }
 
 impl Variance {
     /// Its value.
-    pub(super) fn at(&self, a: f64) -> f64 {
-        a * self.shot.max(0.0) + self.rest
+    pub(super) fn at(&self, scatter: &Scatter, channel: usize) -> f64 {
+        let shot = scatter.slope[channel] * self.shot.max(0.0);
+        shot + self.rest + scatter.between_frames.powi(2) * self.flicker
     }
 }
 
@@ -45,9 +51,9 @@ pub(super) struct Visit {
 pub(super) fn read_lamp(
     loader: &Loader<'_>,
     frames: &[&Taken],
-    region: &Region,
+    target: &Target<'_>,
     darks: &Darks,
-    usable_fraction: f64,
+    options: &MeasureOptions,
 ) -> Result<(Lamp, Vec<Cell>)> {
     let key = |t: &Taken| (t.moment.stretch, t.record.visit);
     let mut frames = frames.to_vec();
@@ -55,9 +61,9 @@ pub(super) fn read_lamp(
     let groups: Vec<&[&Taken]> = frames.chunk_by(|a, b| key(a) == key(b)).collect();
     let unknown = Lamp::default();
     let read = groups.par_iter().map(|group| {
-        let (stacks, cells) = read_stacks(loader, group, region, darks, &unknown, usable_fraction)?;
-        let usable = stacks.iter().filter(|s| s.clipped == 0);
-        let exposures: Vec<Exposure> = usable.map(|s| Exposure::of(region, s)).collect();
+        let (stacks, cells) = read_stacks(loader, group, target, darks, &unknown, options)?;
+        let usable = stacks.iter().filter(|s| s.clipped_in_crop == 0);
+        let exposures: Vec<Exposure> = usable.map(|s| Exposure::of(target.weights, s)).collect();
         Ok((group[0].record.visit, exposures, cells))
     });
     let read: Vec<Result<_>> = read.collect();
@@ -98,6 +104,7 @@ pub(super) fn read_lamp(
 /// One exposure of one visit: crop means of the dark-subtracted raw value, and what their variances are made of.
 struct Exposure {
     exposure_ms: f64,
+    filter: Option<Filter>,
     repeats: f64,
     signal: [f64; 3],
     /// `sum w^2 signal / repeats`.
@@ -110,28 +117,22 @@ struct Exposure {
 }
 
 impl Exposure {
-    fn of(region: &Region, stack: &Stack) -> Self {
-        let mut area = [0.0; 3];
-        for pixel in &region.pixels {
-            area[pixel.channel] += pixel.weight;
-        }
-        let (mut signal, mut shot, mut squares) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-        for (pixel, &value) in region.pixels.iter().zip(&stack.signal) {
-            let c = pixel.channel;
-            let w = pixel.weight / area[c];
-            signal[c] += w * value;
-            shot[c] += w * w * value;
-            squares[c] += w * w;
-        }
+    fn of(weights: &Weights, stack: &Stack) -> Self {
+        let means = [0, 1, 2].map(|c| stack.crop_mean(weights, c));
         Self {
             exposure_ms: stack.exposure_ms,
+            filter: stack.filter,
             repeats: stack.repeats,
-            signal,
-            shot: shot.map(|s| s / stack.repeats),
-            read: squares.map(|s| s * stack.dark_variance / stack.repeats),
-            dark: squares.map(|s| s * stack.dark_variance / stack.dark_count),
+            signal: means.map(|m| m.signal),
+            shot: means.map(|m| m.shot),
+            read: means.map(|m| m.squares * stack.dark_variance / stack.repeats),
+            dark: means.map(|m| m.squares * stack.dark_variance / stack.dark_count),
             moments: stack.moments.clone(),
         }
+    }
+
+    fn sees(&self, channel: usize) -> bool {
+        self.filter.is_none_or(|f| f.channel() == channel)
     }
 
     fn mean_moment(exposures: &[Self]) -> Moment {
@@ -151,16 +152,20 @@ impl Exposure {
 
 /// Rate of one channel over some exposures, and the relative variance of its own frames.
 fn rate(exposures: &[&Exposure], channel: usize) -> (f64, Variance) {
-    let total: f64 = exposures.iter().map(|e| e.time()).sum();
+    let of_channel = || exposures.iter().filter(|e| e.sees(channel));
+    let total: f64 = of_channel().map(|e| e.time()).sum();
     let mut signal = 0.0;
     let mut variance = Variance::default();
-    for e in exposures {
+    for e in of_channel() {
         signal += e.repeats * e.signal[channel];
         variance.shot += e.repeats * e.repeats * e.shot[channel];
         variance.rest += e.repeats * e.repeats * e.read[channel];
     }
     variance.shot /= signal * signal;
     variance.rest /= signal * signal;
+    variance.flicker = of_channel()
+        .map(|e| e.time() / total * (e.time() / total) / e.repeats)
+        .sum();
     (signal / total, variance)
 }
 
@@ -170,11 +175,13 @@ impl Visit {
         let pairs: Vec<(&Exposure, &Exposure)> = exposures
             .iter()
             .filter_map(|e| {
-                let same = |f: &&Exposure| same_exposure(f.exposure_ms, e.exposure_ms);
+                let same = |f: &&Exposure| {
+                    f.filter == e.filter && same_exposure(f.exposure_ms, e.exposure_ms)
+                };
                 first.iter().find(same).map(|f| (e, f))
             })
             .collect();
-        if pairs.is_empty() {
+        if !(0..3).all(|c| pairs.iter().any(|(e, _)| e.sees(c))) {
             return Ok(None);
         }
         let (here, there): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
@@ -186,9 +193,12 @@ impl Visit {
             first: [Variance::default(); 3],
             exposures_ms: here.iter().map(|e| e.exposure_ms).collect(),
         };
-        let time = |list: &[&Exposure]| list.iter().map(|e| e.time()).sum::<f64>();
-        let (time_here, time_there) = (time(&here), time(&there));
         for c in 0..3 {
+            let time = |list: &[&Exposure]| {
+                let of_channel = list.iter().filter(|e| e.sees(c));
+                of_channel.map(|e| e.time()).sum::<f64>()
+            };
+            let (time_here, time_there) = (time(&here), time(&there));
             let (rate_here, mut own) = rate(&here, c);
             let (rate_there, of_first) = rate(&there, c);
             for rate in [rate_here, rate_there] {
@@ -200,7 +210,7 @@ impl Visit {
                     .with_hint("was the lamp on for the reference frames, and off for the darks?"));
                 }
             }
-            for (e, f) in here.iter().zip(&there) {
+            for (e, f) in here.iter().zip(&there).filter(|(e, _)| e.sees(c)) {
                 let share =
                     e.repeats / (time_here * rate_here) - f.repeats / (time_there * rate_there);
                 own.rest += e.dark[c] * share * share;
