@@ -31,4 +31,4 @@ pub use layout::{Filter, Layout};
 pub use manifest::{CameraFacts, Lens, Manifest, Provenance, SessionFolder, WhiteReference};
 pub use measurements::{Intensity, Measurements};
 pub use plan::{Configuration, Plan};
-pub use projection::{Coverage, Projection, RowSpan};
+pub use projection::{Coverage, Perturbation, Projection, RowSpan};
