@@ -37,7 +37,9 @@ pub use sensor::SensorModel;
 use super::{Camera, CapturedFrame, Shot};
 use crate::base::{Error, Result};
 use crate::math::Random;
-use crate::session::{CameraFacts, CfaPattern, DngImage, Filter, FrameKind, Layout, write_dng};
+use crate::session::{
+    CameraFacts, CfaPattern, DngImage, Filter, FrameKind, Layout, TiffImage, write_dng, write_tiff,
+};
 use pixels::{Charges, FixedPattern};
 use poisson::poisson;
 use rayon::prelude::*;
@@ -240,7 +242,7 @@ impl VirtualCamera {
         let data = self.raw(shot, picture, &exposure);
         let (bytes, extension) = match self.sensor.layout {
             Layout::Bayer(cfa) => (self.dng(shot, &data, cfa)?, "dng"),
-            Layout::Mono | Layout::Rgb => return Err(Error::new("no TIFF yet")),
+            Layout::Mono | Layout::Rgb => (self.tiff(shot, &data)?, "tif"),
         };
         Ok(CapturedFrame {
             bytes,
@@ -263,6 +265,20 @@ impl VirtualCamera {
             exposure_ms: Some(shot.exposure_ms),
             iso: Some(100),
             date_time: None,
+        })
+    }
+
+    fn tiff(&self, shot: &Shot, data: &[u16]) -> Result<Vec<u8>> {
+        write_tiff(&TiffImage {
+            width: self.sensor.width,
+            height: self.sensor.height,
+            layout: self.sensor.layout,
+            data,
+            white: self.sensor.white,
+            make: "goniofit",
+            model: &self.sensor.name,
+            exposure_ms: Some(shot.exposure_ms),
+            iso: Some(100),
         })
     }
 }
