@@ -4,6 +4,7 @@
 //! Frames are read one after another; never more than two are held, beside sums over pixels. docs/calibration.md has the
 //! equations and says how each session is shot.
 
+mod curve;
 mod dark;
 mod darks;
 mod drift;
@@ -12,6 +13,7 @@ mod least_squares;
 mod linearity;
 mod panel;
 mod patch;
+mod readings;
 mod recording;
 mod transfer;
 mod white;
