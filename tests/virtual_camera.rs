@@ -106,12 +106,12 @@ fn a_linearity_series_reaches_from_one_percent_to_clipped() {
     for (record, _) in &whites {
         *exposures.entry(record.exposure_ms.to_bits()).or_insert(0) += 1;
     }
-    assert!(exposures.len() == 9 && exposures.values().all(|&n| n == 2));
+    assert!(exposures.len() == 11 && exposures.values().all(|&n| n == 2));
     for (record, _) in frames(&session, FrameKind::Dark) {
         assert!(exposures.contains_key(&record.exposure_ms.to_bits()));
     }
     let visits = frames(&session, FrameKind::Reference);
-    assert_eq!(visits.iter().map(|(r, _)| r.visit).max(), Some(8));
+    assert_eq!(visits.iter().map(|(r, _)| r.visit).max(), Some(10));
     // The curve shows: raw values per millisecond fall as they are told to.
     let mut bent = plain();
     bent.sensor.faults.nonlinearity = [0.05, 0.0];

@@ -73,9 +73,8 @@ pub fn linearity(root: &Path, setup: &Setup, repeats: u32, visits: bool) -> Sess
     let pose = true_white().configuration;
     let longest = exposure_for(setup, white_radiance(), 1.2);
     let mut exposures_ms: Vec<f64> = (0..7).map(|k| longest / f64::from(1 << k)).collect();
-    // Between the steps where the curve bends most.
-    exposures_ms.push(0.75 * longest);
-    exposures_ms.push(0.375 * longest);
+    // Closer steps up to the white level.
+    exposures_ms.extend([0.375, 0.55, 0.62, 0.7].map(|part| part * longest));
     exposures_ms.sort_by(f64::total_cmp);
     let mut script = Script::new();
     script.shots(FrameKind::Dark, &pose, &exposures_ms, 2);

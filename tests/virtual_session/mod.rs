@@ -15,6 +15,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 pub mod calibration;
+pub mod chain;
 pub mod colors;
 pub mod faulty;
 pub mod pictures;
