@@ -5,6 +5,7 @@
 //! equations and says how each session is shot.
 
 mod curve;
+mod curve_fit;
 mod dark;
 mod darks;
 mod drift;
