@@ -7,6 +7,7 @@ use crate::base::{Context, Error, Result};
 use crate::render::{Effort, Estimate, FiberScene, Request, Scene, TilePicture};
 use crate::rig::capture::{CaptureOptions, white_id};
 use crate::rig::simulated::capture_in_process;
+use crate::rig::virtual_camera::PixelFaults;
 use crate::rig::{Appearance, RigDescription, SensorModel, VirtualCamera, white_radiance};
 use crate::scatter::{self, Parameters};
 use crate::session::{Configuration, FrameKind, Plan, SessionFolder, WhiteReference, files};
@@ -14,6 +15,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// Farthest distance on the sample of the points whose radiance a pixel averages, millimeters: some texels.
+const SPACING_MM: f64 = 0.02;
 
 /// Make a synthetic session: a virtual camera photographs a rendered fabric
 #[derive(clap::Args)]
@@ -24,8 +28,9 @@ Examples:
       --read-noise 4 --out noisy-session
 
 The path tracer estimates each configuration's mean to --accuracy: that is the truth, kept in truth.json. A picture of the
-fabric with fewer paths is then rescaled so that its exact mean over the projected sample square equals it, photographed
-by a virtual camera (black level, shot and read noise, dark current, vignetting, quantization, exposure bracket), and
+fabric with fewer paths is then rescaled so that its exact mean over the sample square equals it, photographed
+by a virtual camera (black level, shot and read noise, dark current, vignetting, unequal pixels, non-linearity,
+quantization, exposure bracket), and
 recorded through the whole capture loop with a simulated controller. The session says that it is synthetic.")]
 pub(crate) struct Arguments {
     /// Fabric description (TOML)
@@ -81,6 +86,17 @@ pub(crate) struct Arguments {
     /// Light lost at the image corners, fraction
     #[arg(long, value_name = "V", default_value_t = 0.04)]
     vignetting: f64,
+    /// By how much raw values fall short of proportionality at the white level, fraction (they bend as a parabola)
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 0.0,
+        allow_hyphen_values = true
+    )]
+    nonlinearity: f64,
+    /// Relative standard deviation of the response from pixel to pixel
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    prnu: f64,
     /// Relative change of the lamp's brightness while capturing (63 % of it over the first 50 frames with light)
     #[arg(
         long,
@@ -288,6 +304,13 @@ fn virtual_camera(
         read_noise: a.read_noise,
         dark_current: a.dark_current,
         vignetting: a.vignetting,
+        faults: PixelFaults {
+            nonlinearity: [a.nonlinearity, 0.0],
+            response_sd: a.prnu,
+            pattern_seed: a.seed,
+            ..PixelFaults::default()
+        },
+        spacing_mm: SPACING_MM,
         bits: if a.bits == "16" {
             crate::session::BitDepth::Sixteen
         } else {

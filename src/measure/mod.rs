@@ -3,6 +3,7 @@
 //! Never demosaics: means are per channel of the color filter array. What is corrected and what is not is written in
 //! docs/measure.md. Knows no rig: frames come from a session folder.
 
+pub mod calibrate;
 pub mod calibration;
 mod container;
 mod crop;

@@ -46,6 +46,15 @@ impl Lens {
     pub fn is_ideal(&self) -> bool {
         *self == Self::default()
     }
+
+    /// True when the numbers are finite and an image point has one place on the sample: a perspective of 0..0.1 1/mm and
+    /// a distortion of at most 0.3 either way.
+    pub fn is_sound(&self) -> bool {
+        let others = self.sag_px.as_flattened().iter().chain([&self.roll]);
+        (0.0..0.1).contains(&self.perspective)
+            && (-0.3..=0.3).contains(&self.distortion)
+            && others.into_iter().all(|v| v.is_finite())
+    }
 }
 
 /// How the white standard was shot: `E_normal = pi L_white / (reflectance_factor cos(theta_light))`.
@@ -260,6 +269,11 @@ impl SessionFolder {
         }
         if !(manifest.camera.pixel_mm > 0.0 && manifest.camera.pixel_mm.is_finite()) {
             return bad("camera.pixel_mm must be positive");
+        }
+        if !manifest.camera.lens.is_sound() {
+            return bad(
+                "camera.lens needs finite numbers, perspective in 0..0.1 and distortion in -0.3..0.3",
+            );
         }
         if !(manifest.sample_square_mm > 0.0 && manifest.sample_square_mm.is_finite()) {
             return bad("sample_square_mm must be positive");

@@ -1,44 +1,26 @@
-//! Small sessions photographed by the virtual camera, with their truth.
+//! Small sessions photographed by the virtual camera, with their truth: measurements, and what calibrations are made from.
 #![allow(dead_code, unreachable_pub, missing_docs, clippy::unwrap_used)]
 
 use goniofit::math::{PolarDirection, Random};
-use goniofit::rig::virtual_camera::white_radiance;
-use goniofit::rig::{Appearance, Camera, SensorModel, Shot, VirtualCamera};
+use goniofit::measure::calibration::PoseErrors;
+use goniofit::rig::virtual_camera::{Misalignment, Stand};
+use goniofit::rig::{Camera, SensorModel, VirtualCamera};
 use goniofit::session::{
-    Configuration, Event, FrameKind, FrameRecord, Manifest, Plan, SessionFolder, WhiteReference,
+    CameraFacts, Configuration, FrameKind, Manifest, Plan, SessionFolder, WhiteReference,
 };
+use pictures::{Board, Chart, Cloth, Panel, Scene, lommel_seeliger};
+use script::{Script, Step};
+use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+pub mod calibration;
+pub mod chain;
+pub mod colors;
+pub mod faulty;
+pub mod pictures;
 pub mod pulls;
-
-/// A cloth-like picture: slow waves, a weave of 0.4 mm, and grain; the white panel is uniform.
-pub struct Cloth {
-    pub white: [f64; 3],
-    pub phases: [f64; 4],
-    pub grain: f64,
-    pub seed: u64,
-}
-
-impl Cloth {
-    fn grain_at(&self, [x, y]: [f64; 2]) -> f64 {
-        let cell = |v: f64| (v / 0.12).floor() as i64 as u64;
-        Random::keyed(&[self.seed, cell(x), cell(y)]).uniform() - 0.5
-    }
-}
-
-impl Appearance for Cloth {
-    fn radiance(&self, kind: FrameKind, _: &Configuration, point: [f64; 2]) -> [f64; 3] {
-        if kind == FrameKind::White {
-            return self.white;
-        }
-        let [x, y] = point;
-        let waves = 0.1 * (0.9 * x + self.phases[0]).sin() + 0.1 * (1.3 * y + self.phases[1]).sin();
-        let weave = 0.2 * ((15.7 * x + self.phases[2]).sin() * (15.7 * y + self.phases[3]).sin());
-        let grain = self.grain * self.grain_at(point);
-        [1.0, 0.8, 1.2].map(|color| 1.0 + waves + color * (weave + grain))
-    }
-}
+pub mod script;
 
 /// How to make a session.
 #[derive(Clone)]
@@ -66,6 +48,17 @@ pub struct Setup {
     pub lamp: Option<fn(f64, usize) -> [f64; 3]>,
     /// Standard error of the stated reflectance factor; the stated one is drawn around the true one.
     pub white_se: f64,
+    /// What manifests state of the camera; none: the truth.
+    pub stated: Option<CameraFacts>,
+    /// How far things stand from where they were asked to be: standard deviations, one draw per pose, and one height
+    /// for all.
+    pub pose_sd: PoseErrors,
+    /// The same for where the camera points, pixels.
+    pub pointing_sd_px: [f64; 2],
+    /// Bright spots on the cloth.
+    pub glints: usize,
+    /// Relative change of the flats' source per millimeter.
+    pub flat_gradient: [f64; 2],
     pub seed: u64,
 }
 
@@ -77,6 +70,7 @@ impl Setup {
             pixel_mm: 10.0 / 64.0,
             center_px: [49.3, 42.2],
             subsamples: 2,
+            spacing_mm: 0.06,
             ..SensorModel::default()
         };
         Self {
@@ -101,6 +95,11 @@ impl Setup {
             breaks: Vec::new(),
             lamp: None,
             white_se: 0.003,
+            stated: None,
+            pose_sd: PoseErrors::default(),
+            pointing_sd_px: [0.0; 2],
+            glints: 0,
+            flat_gradient: [0.0; 2],
             seed,
         }
     }
@@ -121,7 +120,7 @@ impl Setup {
 pub const TRUE_WHITE: [f64; 3] = [1.02, 0.99, 0.96];
 pub const SAMPLE_SQUARE_MM: f64 = 10.0;
 
-fn true_white() -> WhiteReference {
+pub fn true_white() -> WhiteReference {
     WhiteReference {
         configuration: Configuration {
             id: 0,
@@ -139,214 +138,218 @@ pub fn folder() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").unwrap_or_else(|_| tempfile::tempdir().unwrap())
 }
 
-/// What happens in a session.
-enum Step {
-    /// A stretch begins.
-    Ready,
-    Shot(Shot),
+/// Which session of a rig: its noise, its pose errors, its cloth's place differ from those of the others.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Purpose {
+    Measurement,
+    Dark,
+    Linearity,
+    Flat,
+    White,
+    Drift,
+    Board,
+    Chart,
 }
 
-/// The steps of a session: darks, whites, then samples with visits of the reference pose in between.
-struct Script<'a> {
-    setup: &'a Setup,
-    white: Configuration,
-    steps: Vec<Step>,
-    stretch: usize,
-    visits: u32,
-}
-
-impl Script<'_> {
-    fn shots(
-        &mut self,
-        kind: FrameKind,
-        config: Option<u32>,
-        pose: Configuration,
-        exposures_ms: &[f64],
-        repeats: u32,
-    ) {
-        for &exposure_ms in exposures_ms {
-            for repeat in 0..repeats {
-                let visit = match kind {
-                    FrameKind::Reference => self.visits,
-                    _ => 0,
-                };
-                let shot = Shot {
-                    kind,
-                    config,
-                    pose,
-                    exposure_ms,
-                    repeat,
-                    visit,
-                };
-                self.steps.push(Step::Shot(shot));
-            }
+impl Setup {
+    /// Everything there is to photograph; of the cloth a patch whose mean is as stated in every configuration.
+    pub fn scene(&self) -> Scene {
+        let mut random = Random::keyed(&[self.seed, 77]);
+        let phases = std::array::from_fn(|_| random.uniform() * TAU);
+        Scene {
+            cloth: Cloth::new(phases, self.grain, self.glints, self.seed),
+            panel: Panel {
+                factor: TRUE_WHITE,
+                reference: true_white().configuration,
+            },
+            board: Board {
+                columns: 5,
+                rows: 4,
+                square_mm: 2.0,
+            },
+            chart: Chart {
+                patches: colors::patches(self.seed),
+                patch_mm: 1.5,
+                pitch_mm: 1.8,
+            },
+            flat_gradient: self.flat_gradient,
         }
     }
 
-    fn visit(&mut self) {
-        let setup = self.setup;
-        if setup.reference_every > 0 && !setup.unvisited.contains(&self.stretch) {
-            let exposures_ms = &setup.reference_exposures_ms;
-            self.shots(FrameKind::Reference, None, self.white, exposures_ms, 1);
-            self.visits += 1;
+    /// The scene with the cloth as bright as stated in every configuration: its texture is the same in all of them.
+    fn scene_with_cloth(&self) -> Scene {
+        let mut scene = self.scene();
+        let reference = true_white().configuration;
+        let camera = VirtualCamera::new(self.sensor.clone(), Box::new(self.scene()), 0).unwrap();
+        let mean = camera.true_mean(&reference, SAMPLE_SQUARE_MM).unwrap();
+        let texture = mean.map(|m| m / lommel_seeliger(&reference));
+        let targets = self
+            .configurations()
+            .into_iter()
+            .zip(self.poses.iter().map(|p| p.2));
+        for (pose, target) in targets.chain([(reference, self.reference_mean)]) {
+            let law = lommel_seeliger(&pose);
+            let level = [0, 1, 2].map(|c| target[c] / (law * texture[c]));
+            scene.cloth.levels.insert(pose.id, level);
         }
+        scene
     }
 
-    fn write(mut self) -> Vec<Step> {
-        let setup = self.setup;
-        let (white, pose) = (FrameKind::White, self.white);
-        self.steps.push(Step::Ready);
-        let dark = FrameKind::Dark;
-        self.shots(
-            dark,
-            None,
-            pose,
-            &setup.dark_exposures_ms,
-            setup.dark_repeats,
-        );
-        self.shots(white, None, pose, &setup.exposures_ms, setup.white_repeats);
-        self.visit();
-        let mut taken = 0;
-        for pose in setup.configurations() {
-            let first = self.steps.len();
-            let sample = FrameKind::Sample;
-            self.shots(
-                sample,
-                Some(pose.id),
+    /// What the session is recorded with.
+    pub fn camera(&self, purpose: Purpose, sensor: &SensorModel) -> VirtualCamera {
+        let scene = match purpose {
+            Purpose::Measurement | Purpose::Drift => self.scene_with_cloth(),
+            _ => self.scene(),
+        };
+        let noise = match purpose {
+            Purpose::Measurement => self.seed,
+            _ => Random::keyed(&[self.seed, purpose as u64, 99]).bits(),
+        };
+        VirtualCamera::new(sensor.clone(), Box::new(scene), noise)
+            .unwrap()
+            .with_misalignment(self.misalignment(purpose))
+    }
+
+    /// Where things stand: the same at every visit of a pose.
+    pub fn misalignment(&self, purpose: Purpose) -> Misalignment {
+        let (sd, pointing, seed) = (self.pose_sd, self.pointing_sd_px, self.seed);
+        let height = sd.height_mm * Random::keyed(&[seed, purpose as u64, 555]).normal();
+        Box::new(move |shot| {
+            let key = [seed, purpose as u64, 556, u64::from(shot.pose.id)];
+            let mut random = Random::keyed(&key);
+            let mut draw = |sd_deg: f64| sd_deg.to_radians() * random.normal();
+            let mut pose = shot.pose;
+            // Polar angles are positive: beyond the normal they would be the other side's.
+            pose.camera.theta = (pose.camera.theta + draw(sd.camera_theta_deg)).abs();
+            pose.light.theta = (pose.light.theta + draw(sd.light_theta_deg)).abs();
+            pose.rotation += draw(sd.rotation_deg);
+            Stand {
                 pose,
-                &setup.exposures_ms,
-                setup.sample_repeats,
+                shift_px: pointing.map(|p| p * random.normal()),
+                height_mm: height,
+            }
+        })
+    }
+
+    /// The manifest of a session of this rig.
+    pub fn manifest(&self) -> Manifest {
+        Manifest {
+            format: Manifest::FORMAT.to_owned(),
+            program: "test".to_owned(),
+            started_utc: "2024-02-29T12:00:00Z".to_owned(),
+            note: String::new(),
+            synthetic: true,
+            rig: "virtual".to_owned(),
+            camera: self.stated.clone().unwrap_or(self.sensor.facts()),
+            white: self.stated_white(),
+            sample_square_mm: SAMPLE_SQUARE_MM,
+            exposures_ms: self.exposures_ms.clone(),
+            provenance: Default::default(),
+        }
+    }
+
+    /// The white standard as its certificate has it.
+    pub fn stated_white(&self) -> WhiteReference {
+        let mut random = Random::keyed(&[self.seed, 78]);
+        let mut stated = true_white();
+        for c in 0..3 {
+            stated.reflectance_factor_se[c] = self.white_se;
+            stated.reflectance_factor[c] += self.white_se * random.normal();
+        }
+        stated
+    }
+
+    /// Darks, whites, then samples with visits of the reference pose in between.
+    fn script(&self) -> Script {
+        let white = true_white().configuration;
+        let mut script = Script::new();
+        let mut stretch = 0;
+        let visit = |script: &mut Script, stretch: usize| {
+            if self.reference_every > 0 && !self.unvisited.contains(&stretch) {
+                script.visit(&white, &self.reference_exposures_ms);
+            }
+        };
+        script.shots(
+            FrameKind::Dark,
+            &white,
+            &self.dark_exposures_ms,
+            self.dark_repeats,
+        );
+        script.shots(
+            FrameKind::White,
+            &white,
+            &self.exposures_ms,
+            self.white_repeats,
+        );
+        visit(&mut script, stretch);
+        let mut taken = 0;
+        for pose in self.configurations() {
+            let first = script.steps.len();
+            script.shots(
+                FrameKind::Sample,
+                &pose,
+                &self.exposures_ms,
+                self.sample_repeats,
             );
-            for step in self.steps.split_off(first) {
-                if setup.breaks.contains(&taken) {
-                    self.steps.push(Step::Ready);
-                    self.stretch += 1;
-                    self.visit();
+            for step in script.steps.split_off(first) {
+                if self.breaks.contains(&taken) {
+                    script.steps.push(Step::Ready);
+                    stretch += 1;
+                    visit(&mut script, stretch);
                 }
                 taken += 1;
-                self.steps.push(step);
-                if setup.reference_every > 0 && taken % setup.reference_every == 0 {
-                    self.visit();
+                script.steps.push(step);
+                if self.reference_every > 0 && taken % self.reference_every == 0 {
+                    visit(&mut script, stretch);
                 }
             }
         }
-        self.visit();
-        self.steps
+        visit(&mut script, stretch);
+        script
+    }
+}
+
+/// The plan of some poses.
+pub fn plan(configurations: Vec<Configuration>) -> Plan {
+    Plan {
+        name: "test".to_owned(),
+        description: String::new(),
+        configurations,
     }
 }
 
 /// Records the session into `root`.
 pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
-    let white = true_white();
-    let mut random = Random::keyed(&[setup.seed, 77]);
-    let picture = |random: &mut Random| Cloth {
-        white: white_radiance(&white),
-        phases: std::array::from_fn(|_| random.uniform() * std::f64::consts::TAU),
-        grain: setup.grain,
-        seed: setup.seed,
-    };
-    let camera = |sensor: &SensorModel, random: &mut Random| {
-        VirtualCamera::new(sensor.clone(), Box::new(picture(random)), setup.seed).unwrap()
-    };
-    let mut light = camera(&setup.sensor, &mut random);
-    let mut dark = camera(&setup.dark_sensor, &mut random);
     let brightness = Arc::new(Mutex::new([1.0; 3]));
     let now = brightness.clone();
-    light = light.with_lamp(Box::new(move |_| *now.lock().unwrap()));
-    let mut stated = white.clone();
-    for c in 0..3 {
-        stated.reflectance_factor_se[c] = setup.white_se;
-        stated.reflectance_factor[c] += setup.white_se * random.normal();
-    }
-    let configurations = setup.configurations();
-    let manifest = Manifest {
-        format: Manifest::FORMAT.to_owned(),
-        program: "test".to_owned(),
-        started_utc: "2024-02-29T12:00:00Z".to_owned(),
-        note: String::new(),
-        synthetic: true,
-        rig: "virtual".to_owned(),
-        camera: setup.sensor.facts(),
-        white: stated,
-        sample_square_mm: SAMPLE_SQUARE_MM,
-        exposures_ms: setup.exposures_ms.clone(),
-        provenance: Default::default(),
-    };
-    let plan = Plan {
-        name: "test".to_owned(),
-        description: String::new(),
-        configurations: configurations.clone(),
-    };
-    for (pose, truth) in configurations.iter().zip(&setup.poses) {
-        light.rescale_to(pose, SAMPLE_SQUARE_MM, truth.2).unwrap();
-    }
-    let reference = white.configuration;
-    light
-        .rescale_to(&reference, SAMPLE_SQUARE_MM, setup.reference_mean)
-        .unwrap();
-    let script = Script {
-        setup,
-        white: reference,
-        steps: Vec::new(),
-        stretch: 0,
-        visits: 0,
-    };
-    let steps = script.write();
-    let takes_time = |s: &&Step| matches!(s, Step::Shot(_));
-    let early = |s: &&Step| matches!(s, Step::Shot(shot) if matches!(shot.kind, FrameKind::Dark | FrameKind::White));
-    let start_s = steps.iter().filter(early).count() as f64;
-    let end_s = steps.iter().filter(takes_time).count() as f64 - 1.0;
-    let (session, mut journal) = SessionFolder::create(root, &manifest, &plan, "").unwrap();
-    let (mut number, mut stretches, mut elapsed_s) = (0, 0, 0.0);
-    for step in steps {
-        let shot = match step {
-            Step::Shot(shot) => shot,
-            Step::Ready => {
-                let firmware = String::new();
-                let ready = Event::Ready {
-                    firmware,
-                    utc: None,
-                };
-                journal.append(elapsed_s, ready).unwrap();
-                stretches += 1;
-                continue;
+    let mut light = setup
+        .camera(Purpose::Measurement, &setup.sensor)
+        .with_lamp(Box::new(move |_| *now.lock().unwrap()));
+    // Darks show no cloth; the capped camera has the same noise and fixed pattern.
+    let mut dark = VirtualCamera::new(
+        setup.dark_sensor.clone(),
+        Box::new(setup.scene()),
+        setup.seed,
+    )
+    .unwrap();
+    let script = setup.script();
+    let times = script.times();
+    let early = |s: &Step| matches!(s, Step::Shot(shot) if matches!(shot.kind, FrameKind::Dark | FrameKind::White));
+    let start_s = script.steps.iter().filter(|s| early(s)).count() as f64;
+    let end_s = times[times.len() - 1] - 1.0;
+    script.record(
+        root,
+        &setup.manifest(),
+        &plan(setup.configurations()),
+        |shot, elapsed_s, stretch| {
+            if let Some(law) = setup.lamp {
+                let x = ((elapsed_s - start_s) / (end_s - start_s)).max(0.0);
+                *brightness.lock().unwrap() = law(x, stretch);
             }
-        };
-        if let Some(law) = setup.lamp {
-            *brightness.lock().unwrap() = law(
-                ((elapsed_s - start_s) / (end_s - start_s)).max(0.0),
-                stretches - 1,
-            );
-        }
-        let frame = match shot.kind {
-            FrameKind::Dark => dark.expose(&shot).unwrap(),
-            _ => light.expose(&shot).unwrap(),
-        };
-        let record = FrameRecord {
-            file: FrameRecord::standard_name(
-                number,
-                shot.kind,
-                shot.config,
-                shot.exposure_ms,
-                &frame.extension,
-            ),
-            kind: shot.kind,
-            config: shot.config,
-            exposure_ms: frame.exposure_ms,
-            repeat: shot.repeat,
-            requested_ms: None,
-            visit: shot.visit,
-            filter: None,
-            exposed: None,
-            utc: None,
-            axes_deg: Default::default(),
-            sha256: String::new(),
-        };
-        session
-            .add_frame(&mut journal, elapsed_s, record, &frame.bytes)
-            .unwrap();
-        number += 1;
-        elapsed_s += 1.0;
-    }
-    session
+            match shot.kind {
+                FrameKind::Dark => dark.expose(shot).unwrap(),
+                _ => light.expose(shot).unwrap(),
+            }
+        },
+    )
 }

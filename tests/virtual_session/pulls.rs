@@ -4,6 +4,7 @@ use super::{Setup, folder, record};
 use goniofit::base::Unwatched;
 use goniofit::math::statistics::{Running, sidak_level};
 use goniofit::measure::{MeasureOptions, measure_session};
+use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 pub fn seed(default: u64) -> u64 {
@@ -11,8 +12,9 @@ pub fn seed(default: u64) -> u64 {
 }
 
 /// The pulls of every session: one list of 3 x configurations each.
-pub fn pulls(n_sessions: u64, setup: impl Fn(u64) -> Setup) -> Vec<Vec<f64>> {
+pub fn pulls(n_sessions: u64, setup: impl Fn(u64) -> Setup + Sync) -> Vec<Vec<f64>> {
     (0..n_sessions)
+        .into_par_iter()
         .map(|i| {
             let setup = setup(i);
             let folder = folder();

@@ -143,6 +143,80 @@ impl Calibrations {
     }
 }
 
+/// What a calibration file can hold.
+pub trait Value: Serialize {
+    /// Writes what lies beside the file (`STEM.json`) into the folder, and notes it in the value.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    fn write_beside(&mut self, folder: &Path, stem: &str, size_px: [usize; 2]) -> Result<()> {
+        let _ = (folder, stem, size_px);
+        Ok(())
+    }
+}
+
+impl Value for DarkCurrent {}
+impl Value for Linearity {}
+impl Value for WhiteStandard {}
+impl Value for ColorMatrix {}
+impl Value for Geometry {}
+impl Value for LampDrift {}
+
+impl<T: Value> Dated<T> {
+    /// Writes the calibration as `YYYY-MM-DD_KIND.json`, by the date of its session; with a letter b, c, ... after the date
+    /// when there is such a file already. Returns the path. Nothing is overwritten.
+    ///
+    /// # Errors
+    /// The header's date is none, there are 26 files of the day, or the disk refuses.
+    pub fn write(&mut self, folder: &Path) -> Result<PathBuf> {
+        std::fs::create_dir_all(folder)
+            .context(|| format!("calibration folder {} cannot be made", folder.display()))?;
+        let stem = free_stem(folder, &self.header)?;
+        self.value
+            .write_beside(folder, &stem, self.header.size_px)?;
+        let text = serde_json::to_string_pretty(self)
+            .context(|| format!("calibration {stem} cannot be written"))?;
+        let path = folder.join(format!("{stem}.json"));
+        crate::session::files::write_new(&path, (text + "\n").as_bytes())?;
+        Ok(path)
+    }
+}
+
+/// The first name of the day that no file has.
+fn free_stem(folder: &Path, header: &Header) -> Result<String> {
+    let shape = b"dddd-dd-dd";
+    let fits = |(&c, &s): (&u8, &u8)| {
+        if s == b'd' {
+            c.is_ascii_digit()
+        } else {
+            c == s
+        }
+    };
+    let date = header.date_utc.get(..shape.len()).unwrap_or("");
+    if date.len() != shape.len() || !date.as_bytes().iter().zip(shape).all(fits) {
+        return Err(Error::new(format!(
+            "the session's date '{}' is none, expected RFC 3339 as in 2026-11-22T09:30:00Z",
+            header.date_utc
+        ))
+        .with_hint("the calibration's file is named after it: mend started_utc in session.json"));
+    }
+    let letters = std::iter::once(String::new()).chain(('b'..='z').map(String::from));
+    let mut stems = letters.map(|l| format!("{date}{l}_{}", header.kind.name()));
+    let free = |stem: &String| {
+        !["json", "exr"]
+            .iter()
+            .any(|end| folder.join(format!("{stem}.{end}")).exists())
+    };
+    stems.find(free).ok_or_else(|| {
+        Error::new(format!(
+            "{} holds 26 {} calibrations of {date} already",
+            folder.display(),
+            header.kind.name()
+        ))
+        .with_hint("move the ones that are not needed elsewhere")
+    })
+}
+
 fn read_newest<T: DeserializeOwned>(path: Option<PathBuf>) -> Result<Option<Dated<T>>> {
     let Some(path) = path else {
         return Ok(None);

@@ -1,12 +1,19 @@
 //! The flat field's map: OpenEXR beside the JSON file.
 
-use super::FlatField;
+use super::{FlatField, Value};
 use crate::base::{Context, Error, Result};
 use crate::session::files;
 use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
 use std::path::Path;
 
 const CHANNELS: [&str; 2] = ["response", "response_se"];
+
+impl Value for FlatField {
+    fn write_beside(&mut self, folder: &Path, stem: &str, size_px: [usize; 2]) -> Result<()> {
+        self.file = format!("{stem}.exr");
+        self.write_map(folder, size_px)
+    }
+}
 
 impl FlatField {
     /// Reads the map from the folder of the calibration file, for frames of this visible size.

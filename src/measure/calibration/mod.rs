@@ -6,7 +6,7 @@
 mod files;
 mod flat;
 
-pub use files::{Calibrations, Dated, Header, Kind, Source};
+pub use files::{Calibrations, Dated, Header, Kind, Source, Value};
 
 use crate::session::Lens;
 use serde::{Deserialize, Serialize};
@@ -23,6 +23,9 @@ pub struct DarkCurrent {
     pub per_ms: [f64; 4],
     /// Its standard error.
     pub per_ms_se: [f64; 4],
+    /// Covariance of the errors of `bias` and `per_ms`, by place, squared raw values per millisecond.
+    #[serde(default)]
+    pub bias_per_ms_covariance: [f64; 4],
     /// Standard deviation of one raw value at zero exposure: read noise and rounding.
     pub read_noise: f64,
     /// Its standard error.
