@@ -6,6 +6,7 @@
 
 mod board;
 mod corners;
+mod curve;
 mod dark;
 mod darks;
 mod drift;
@@ -15,6 +16,7 @@ mod least_squares;
 mod linearity;
 mod panel;
 mod patch;
+mod readings;
 mod recording;
 mod transfer;
 mod white;
