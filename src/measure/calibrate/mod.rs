@@ -4,12 +4,15 @@
 //! Frames are read one after another; never more than two are held, beside sums over pixels. docs/calibration.md has the
 //! equations and says how each session is shot.
 
+mod board;
+mod corners;
 mod curve;
 mod curve_fit;
 mod dark;
 mod darks;
 mod drift;
 mod flat;
+mod geometry;
 mod least_squares;
 mod linearity;
 mod panel;
@@ -22,6 +25,7 @@ mod white;
 pub use dark::dark;
 pub use drift::drift;
 pub use flat::flat;
+pub use geometry::{GeometryOptions, GeometryReport, LensPart, PoseReport, geometry};
 pub use linearity::linearity;
 pub use panel::Factor;
 pub use white::white;

@@ -29,7 +29,7 @@ impl Distortion {
         if self.is_none() {
             return ideal;
         }
-        let [x, y] = self.from_middle(ideal);
+        let [x, y] = self.offset(ideal);
         let factor = 1.0 + self.coefficient * (x * x + y * y) * self.inverse_square;
         [self.middle[0] + x * factor, self.middle[1] + y * factor]
     }
@@ -40,7 +40,7 @@ impl Distortion {
         if self.is_none() {
             return seen;
         }
-        let [x, y] = self.from_middle(seen);
+        let [x, y] = self.offset(seen);
         let wanted = ((x * x + y * y) * self.inverse_square).sqrt();
         let ratio = match wanted > 0.0 {
             true => self.ideal_radius(wanted) / wanted,
@@ -66,7 +66,7 @@ impl Distortion {
         f64::NAN
     }
 
-    fn from_middle(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    fn offset(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         [x - self.middle[0], y - self.middle[1]]
     }
 }
