@@ -4,6 +4,7 @@
 //! docs/measure.md. Knows no rig: frames come from a session folder.
 
 pub mod calibration;
+pub mod checks;
 mod container;
 mod crop;
 mod dark;
