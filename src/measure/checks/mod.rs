@@ -4,8 +4,16 @@
 //! that a coarse weave is as good as a plain one; what the cloth's own pattern does at the size of the crop (a stripe, a
 //! single motif) cannot be told from a shadow.
 
+mod border;
+mod evenness;
+mod focus;
+mod planes;
+mod spots;
+
 use super::Picture;
 use super::statistics::Crop;
+use crate::session::Configuration;
+use planes::Plane;
 use serde::Serialize;
 
 /// From where on something is worth telling.
@@ -21,6 +29,8 @@ pub struct CheckOptions {
     pub step_limit: f64,
     /// What lies around the square is told when it differs by more than this, relative.
     pub border_limit: f64,
+    /// A spot is told when it stands off its surroundings by more than this, relative.
+    pub spot_limit: f32,
     /// A third of the square is blunt when its sharpness is below this fraction of the sharpest third's.
     pub blunt_limit: f64,
 }
@@ -33,6 +43,7 @@ impl Default for CheckOptions {
             slope_limit: 0.08,
             step_limit: 0.03,
             border_limit: 0.25,
+            spot_limit: 0.15,
             blunt_limit: 0.4,
         }
     }
@@ -115,13 +126,13 @@ pub struct BorderEnd {
     pub change: f64,
 }
 
-/// How sharp the cloth is: energy of the finest structure over that of coarser structure, along x, noise taken off.
+/// How sharp the cloth is, by differences between neighbors of one color along x, noise taken off.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Focus {
-    /// Of the whole square; comparable between poses of one camera angle. None when noise or the square's size forbid to
-    /// tell.
+    /// Mean square difference of neighbors over that of values some eight times as far apart, whole square; comparable between
+    /// poses of one camera angle. None when noise or the square's size forbid to tell.
     pub sharpness: Option<f64>,
-    /// Of the far (top of the image), middle and near third.
+    /// Mean square difference of neighbors over the squared mean, in the far (top of the image), middle and near third.
     pub thirds: [Option<f64>; 3],
     /// The third that is much blunter than the sharpest: 0 far, 1 middle, 2 near.
     pub blunt: Option<usize>,
@@ -131,13 +142,16 @@ pub struct Focus {
 
 /// Looks at one configuration's crop; see [`CropChecks`].
 pub fn check_crop(picture: &Picture, options: &CheckOptions) -> CropChecks {
-    let _ = picture;
+    let mut planes = Plane::of(picture);
+    let border = border::border(picture, &planes, options);
+    let focus = focus::focus(picture, &planes, options);
+    let [bright, dark] = spots::outliers(picture, &mut planes, options);
     CropChecks {
-        bright: Outliers::default(),
-        dark: Outliers::default(),
-        evenness: Evenness::default(),
-        border: Border::default(),
-        focus: Focus::default(),
+        bright,
+        dark,
+        evenness: evenness::evenness(picture, &planes, options),
+        border,
+        focus,
         vignetting: options.vignetting,
         vignetting_limit: options.vignetting_limit,
     }
@@ -146,7 +160,158 @@ pub fn check_crop(picture: &Picture, options: &CheckOptions) -> CropChecks {
 impl CropChecks {
     /// One line for each thing worth telling: `title` (which configuration or frame), what, where, what to do.
     pub fn messages(&self, title: &str) -> Vec<String> {
-        let _ = title;
-        Vec::new()
+        let bright = (
+            "brighter",
+            "a glint or a hot spot; look at the frame, turn or clean the sample",
+        );
+        let dark = ("darker", "dust or a hole; clean the sample or move it");
+        let spots = [(&self.bright, bright), (&self.dark, dark)];
+        let spots = spots
+            .into_iter()
+            .filter_map(|(found, (how, what_to_do))| found.message(how, what_to_do));
+        let rest = [
+            self.evenness.step.as_ref().map(Step::message),
+            self.evenness.steep_message(),
+            self.border.message(),
+            self.focus.message(),
+            self.vignetting_message(),
+        ];
+        spots
+            .chain(rest.into_iter().flatten())
+            .map(|line| format!("{title}: {line}"))
+            .collect()
     }
+
+    fn vignetting_message(&self) -> Option<String> {
+        let ratio = self.vignetting.filter(|v| *v > self.vignetting_limit)?;
+        Some(format!(
+            "vignetting and unevenness are corrected by a factor that varies by {ratio:.2} within the square; stop the lens \
+             down, or move the sample to the middle of the image"
+        ))
+    }
+}
+
+/// Pixels `x..x, y..y` of the visible area.
+fn place(region: &Crop) -> String {
+    format!(
+        "pixels x {}..{}, y {}..{}",
+        region.x,
+        region.x + region.width,
+        region.y,
+        region.y + region.height
+    )
+}
+
+impl Outliers {
+    fn message(&self, how: &str, what_to_do: &str) -> Option<String> {
+        let largest = self.largest.as_ref()?;
+        let share = self
+            .share
+            .iter()
+            .fold(0.0f64, |a, b| if b.abs() > a.abs() { *b } else { a });
+        Some(format!(
+            "{} {how} than the cloth around, {} pixels in all, {:+.2} % of the mean, the largest at {}; {what_to_do}",
+            if self.spots == 1 {
+                "a spot".to_owned()
+            } else {
+                format!("{} spots", self.spots)
+            },
+            self.pixels,
+            100.0 * share,
+            place(largest)
+        ))
+    }
+}
+
+impl Step {
+    fn message(&self) -> String {
+        let (how, what_to_do) = if self.depth < 0.0 {
+            (
+                "darker",
+                "a shadow of the camera or an arm, or the end of the sample",
+            )
+        } else {
+            ("brighter", "a reflection, or another light")
+        };
+        format!(
+            "the {} of the square ({}, {:.0} % of it) is {:.1} % {how} than the rest: {what_to_do}; look at the frame, unless \
+             the cloth has a pattern there",
+            self.part,
+            place(&self.region),
+            100.0 * self.fraction,
+            100.0 * self.depth.abs()
+        )
+    }
+}
+
+impl Evenness {
+    fn steep_message(&self) -> Option<String> {
+        let slope = self.slope.filter(|_| self.steep)?;
+        Some(format!(
+            "brightness varies by {:.1} % across the square, more than a lamp at its distance does; look for a soft shadow, \
+             and check the lamp's place and that the sample is flat",
+            100.0 * slope
+        ))
+    }
+}
+
+impl Border {
+    fn message(&self) -> Option<String> {
+        let largest = self
+            .ends
+            .iter()
+            .max_by(|a, b| a.change.abs().total_cmp(&b.change.abs()))?;
+        let how = if largest.change < 0.0 {
+            "darker"
+        } else {
+            "brighter"
+        };
+        Some(format!(
+            "beyond the square's outline, at {}, it is {:.0} % {how} than inside ({} stretches of the outline differ): the \
+             sample or its mask ends there; center the sample, or measure a smaller square",
+            place(&largest.region),
+            100.0 * largest.change.abs(),
+            self.ends.len()
+        ))
+    }
+}
+
+impl Focus {
+    fn message(&self) -> Option<String> {
+        let (third, region) = (self.blunt?, self.region.as_ref()?);
+        let name = ["far", "middle", "near"][third];
+        Some(format!(
+            "the {name} third of the square ({}) is much blunter than the sharpest third: stop the lens down, or focus on \
+             the middle of the sample",
+            place(region)
+        ))
+    }
+}
+
+/// Poses that are much blunter than others at the same polar angle of the camera: one line each. `limit` as
+/// [`CheckOptions::blunt_limit`]. Angles within a degree are taken as the same; at least three poses are compared.
+pub fn blunt_poses(poses: &[(Configuration, Option<f64>)], limit: f64) -> Vec<String> {
+    let told: Vec<(&Configuration, f64)> =
+        poses.iter().filter_map(|(c, s)| Some((c, (*s)?))).collect();
+    let mut messages = Vec::new();
+    for (configuration, sharpness) in &told {
+        let theta = configuration.camera.theta;
+        let near = |c: &Configuration| (c.camera.theta - theta).abs() < 1f64.to_radians();
+        let mut alike: Vec<f64> = told
+            .iter()
+            .filter(|(c, _)| near(c))
+            .map(|(_, s)| *s)
+            .collect();
+        alike.sort_by(f64::total_cmp);
+        let usual = alike[alike.len() / 2];
+        if alike.len() >= 3 && *sharpness < limit * usual {
+            messages.push(format!(
+                "configuration {}: blunter than the other poses with the camera at {:.0} degrees (sharpness {sharpness:.3}, \
+                 usually {usual:.3}); look at its frames for a focus that moved, or vibration",
+                configuration.id,
+                theta.to_degrees()
+            ));
+        }
+    }
+    messages
 }
