@@ -5,6 +5,7 @@
 
 pub mod calibrate;
 pub mod calibration;
+pub mod checks;
 mod container;
 mod crop;
 mod dark;
