@@ -4,7 +4,6 @@
 //! docs/measure.md. Knows no rig: frames come from a session folder.
 
 pub mod calibration;
-mod container;
 mod crop;
 mod dark;
 mod decode;
