@@ -32,7 +32,7 @@ fn mean_at(frame: &RawFrame, [x0, y0]: [f64; 2], reach: f64, channel: usize) -> 
     for (i, &v) in frame.data.iter().enumerate() {
         let (x, y) = (i % frame.width, i / frame.width);
         let near = (x as f64 + 0.5 - x0).abs().max((y as f64 + 0.5 - y0).abs()) < reach;
-        if near && frame.cfa().channel(y, x) == channel {
+        if near && frame.values_at(x, y).any(|(c, _)| c == channel) {
             sum += f64::from(v) - frame.black[frame.layout.place(frame.width, i)];
             count += 1.0;
         }

@@ -24,6 +24,7 @@ mod render;
 mod report;
 mod rig;
 mod scatter;
+mod session;
 mod sim;
 mod simulate;
 
@@ -59,6 +60,7 @@ enum Command {
     Sim(sim::Arguments),
     Capture(capture::Arguments),
     Calibrate(calibrate::Arguments),
+    Session(session::Arguments),
     Rig(rig::Arguments),
     Doctor(doctor::Arguments),
     Measure(measure::Arguments),
@@ -91,6 +93,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Sim(a) => sim::run(a),
         Command::Capture(a) => capture::run(a),
         Command::Calibrate(a) => calibrate::run(a),
+        Command::Session(a) => session::run(a),
         Command::Rig(a) => rig::run(a),
         Command::Doctor(a) => doctor::run(a),
         Command::Measure(a) => measure::run(a),

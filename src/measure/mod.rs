@@ -6,7 +6,6 @@
 pub mod calibrate;
 pub mod calibration;
 pub mod checks;
-mod container;
 mod crop;
 mod dark;
 mod decode;
