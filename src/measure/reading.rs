@@ -1,5 +1,6 @@
 //! One configuration's frames, read and merged, but not yet reduced to numbers.
 
+use super::checks::{CheckOptions, CropChecks, check_crop};
 use super::crop::{ChannelSums, channel_sums};
 use super::dark::Darks;
 use super::field::{Weights, Window};
@@ -8,7 +9,7 @@ use super::geometry::{GeometryErrors, Movable};
 use super::lamp::{Lamp, Level};
 use super::merge::Merged;
 use super::noise::{Cell, Scatter};
-use super::radiance::Radiance;
+use super::radiance::{Radiance, scale};
 use super::repeat::{Deviation, deviations};
 use super::stack::{Stack, Target, read_stacks};
 use super::texture::Texture;
@@ -35,6 +36,8 @@ pub(super) struct Reading {
     pub(super) captured: bool,
     /// Exposure, milliseconds, and values of the crop left out of it.
     pub(super) masked: Vec<(f64, usize)>,
+    /// What a careful eye sees in the crop.
+    pub(super) checks: Option<CropChecks>,
 }
 
 /// One stack of a configuration.
@@ -161,6 +164,7 @@ impl Reader<'_> {
             saturated: None,
             captured: !stacks.is_empty(),
             masked: Vec::new(),
+            checks: None,
         };
         if stacks.is_empty() {
             return Ok(reading);
@@ -208,7 +212,25 @@ impl Reader<'_> {
         reading.geometry = movable.variance(&self.errors)?;
         let corners = crop.corners.clone();
         let picture = radiance.picture(merged, target, &crop.coverage, corners, &self.scatter);
+        let options = CheckOptions {
+            vignetting: Some(self.vignetting(target, flat)),
+            ..CheckOptions::default()
+        };
+        reading.checks = Some(check_crop(&picture, &options));
         self.viewer.crop(&reading.configuration, &picture)
+    }
+}
+
+impl Reader<'_> {
+    /// Largest over smallest correction of lens and pixels within the crop, in green.
+    fn vignetting(&self, target: &Target<'_>, flat: Option<&Flat>) -> f64 {
+        let greens = target.weights.channels[1].iter();
+        let corrections = greens.map(|v| {
+            let at = target.window.pixel(v.index);
+            scale(self.white, flat, 1, v.index, at)
+        });
+        let (low, high) = corrections.fold((f64::MAX, 0.0_f64), |(l, h), s| (l.min(s), h.max(s)));
+        high / low
     }
 }
 

@@ -45,7 +45,12 @@ impl Reducer<'_> {
             condition: Condition::Good,
             measured: false,
             message: None,
-            notes: Vec::new(),
+            notes: reading
+                .checks
+                .iter()
+                .flat_map(|c| c.messages(&format!("configuration {id}")))
+                .collect(),
+            checks: reading.checks.clone(),
             masked: reading.masked.clone(),
             bounds: reading.bounds,
             exposures_ms: reading.used_exposures(),

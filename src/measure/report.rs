@@ -2,6 +2,7 @@
 
 use super::Crop;
 use super::calibration::{Calibrations, Header, PoseErrors};
+use super::checks::CropChecks;
 use super::lamp::LampReport;
 use super::noise::NoiseReport;
 use super::white::WhiteReport;
@@ -139,6 +140,8 @@ pub struct ConfigurationReport {
     pub message: Option<String>,
     /// What else the operator should know: which pixels, and what to do.
     pub notes: Vec<String>,
+    /// What a careful eye sees in the crop; none when it was not measured.
+    pub checks: Option<CropChecks>,
     /// Pixels of the crop left out of some exposure because they are too bright there: exposure, milliseconds, and how many.
     pub masked: Vec<(f64, usize)>,
     /// The box around the crop: left, top, right, bottom (one past the end), pixels of the visible area.

@@ -1,6 +1,7 @@
 //! A session's frames to its intensities.
 
 use super::calibration::{Calibrations, Header};
+use super::checks::{CheckOptions, blunt_poses};
 use super::dark::Darks;
 use super::field::{Weights, Window};
 use super::frames::{Loader, Taken, taken};
@@ -25,6 +26,9 @@ use rayon::prelude::*;
 
 /// Pixels around a crop that are read with it: interpolation, texture and blooming look that far.
 const MARGIN: usize = 6;
+
+/// What lies around the square is looked at, too, over this part of its side.
+const SURROUNDINGS: f64 = 0.04;
 
 /// Shot noise is taken as this, (raw value)^2 per raw value, where nothing is known yet; it steers weights only.
 const SLOPE_GUESS: f64 = 0.3;
@@ -115,7 +119,9 @@ impl Work<'_> {
             .crop(&reference.configuration)
             .context(|| "reference geometry")?;
         let errors = GeometryErrors::new(known.geometry.as_ref().map(|g| &g.value), options.pose);
-        let margin = MARGIN + errors.margin(&self.camera, self.manifest.sample_square_mm);
+        let side_px = self.manifest.sample_square_mm / self.camera.pixel_mm;
+        let around = MARGIN.max((SURROUNDINGS * side_px) as usize);
+        let margin = around + errors.margin(&self.camera, self.manifest.sample_square_mm);
         let size = [self.camera.width, self.camera.height];
         let all = crops.iter().chain([&reference_crop]).map(|c| &c.coverage);
         let field = Window::around(all, margin, size, self.loader.layout(self.frames)?);
@@ -233,6 +239,12 @@ impl Work<'_> {
             .iter()
             .filter(|f| f.record.kind != FrameKind::Dark);
         warnings.extend(lamp.warnings(lit.map(|f| f.moment)));
+        let sharpness = |r: &Reading| {
+            let sharpness = r.checks.as_ref().and_then(|c| c.focus.sharpness);
+            (r.configuration, sharpness)
+        };
+        let poses: Vec<_> = readings.iter().map(sharpness).collect();
+        warnings.extend(blunt_poses(&poses, CheckOptions::default().blunt_limit));
         let report = MeasureReport {
             synthetic: self.manifest.synthetic,
             rgb: reducer
@@ -382,6 +394,12 @@ impl Work<'_> {
             warnings.push(format!(
                 "{missing} frames do not say how long they were exposed: the journal's times are believed"
             ));
+        }
+        if known.geometry.is_none() && self.options.pose.is_none() {
+            warnings.push(
+                "no geometry calibration and no stated pose errors: the budget counts none of pointing, scale and angles"
+                    .to_owned(),
+            );
         }
         let chi_square = white.report(scatter).chi_square_per_pixel;
         let worst = chi_square.into_iter().fold(0.0, f64::max);
