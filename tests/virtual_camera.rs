@@ -133,7 +133,7 @@ fn flats_show_the_sensor_and_nothing_else() {
     let setup = plain();
     let session = calibration::flats(folder.path(), &setup, 4, 2);
     let flats = frames(&session, FrameKind::Flat);
-    let exposure_ms = exposure_for(&setup, [1.0; 3], 0.6);
+    let exposure_ms = exposure_for(&setup, [1.0; 3], 0.4);
     assert_eq!(
         (flats.len(), frames(&session, FrameKind::Dark).len()),
         (4, 2)

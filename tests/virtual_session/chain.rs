@@ -27,23 +27,6 @@ pub fn calibrate(setup: &Setup) -> Calibrations {
     let session = calibration::linearity(&here("linearity"), setup, 3, false);
     let options = LinearityOptions::default();
     let made = linearity(&session, &known, &options, &Unwatched).unwrap();
-    eprintln!(
-        "LIN {} {:?} {:?} {:?}",
-        setup.seed,
-        made.dated.value.usable,
-        setup.sensor.responsivity,
-        made.dated
-            .value
-            .points
-            .iter()
-            .map(|p| (
-                p.channel,
-                p.signal as i32,
-                (p.residual * 1e6) as i32,
-                (p.signal_se / p.signal * 1e6) as i32
-            ))
-            .collect::<Vec<_>>()
-    );
     known.linearity = Some(made.dated);
     let session = calibration::flats(&here("flat"), setup, 8, 4);
     let made = flat(&session, &known, 0.0005, &Unwatched).unwrap();

@@ -21,6 +21,8 @@
 //! | `sensor.rs`, `pixels.rs` | the sensor's numbers; charge to raw values, unequal pixels, blooming |
 
 mod appearance;
+#[cfg(test)]
+mod fault_tests;
 mod optics;
 mod picture;
 mod pixels;

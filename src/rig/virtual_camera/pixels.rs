@@ -52,12 +52,14 @@ impl PixelFaults {
         let bad = |what: &str| Err(Error::new(format!("sensor model: {what}")));
         let rises = |k: usize| self.raw(f64::from(k as u32) / 100.0, 1.0);
         let monotonic = (1..=150).all(|k| rises(k) > rises(k - 1));
-        if !monotonic || !(rises(150) > 1.0) {
+        let beyond = rises(150) > 1.0;
+        if !monotonic || !beyond {
             return bad(
                 "nonlinearity must leave raw values that rise with the charge, beyond the white level",
             );
         }
-        if !(self.full_well > 0.0) || !self.gains.iter().all(|g| (0.01..100.0).contains(g)) {
+        let holds = self.full_well > 0.0;
+        if !holds || !self.gains.iter().all(|g| (0.01..100.0).contains(g)) {
             return bad("full_well must be positive, and gains 0.01 to 100");
         }
         let numbers = [self.dark_current_sd, self.hot_per_ms];
@@ -67,7 +69,8 @@ impl PixelFaults {
         if !(0.0..0.2).contains(&self.response_sd) || !(0.0..=0.5).contains(&self.hot_fraction) {
             return bad("response_sd must lie in 0..0.2 and hot_fraction in 0..=0.5");
         }
-        if self.dark_current_sd > 0.0 && !(dark_current > 0.0) {
+        let has_mean = dark_current > 0.0;
+        if self.dark_current_sd > 0.0 && !has_mean {
             return bad("dark_current_sd needs a dark_current");
         }
         Ok(())

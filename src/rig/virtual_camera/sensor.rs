@@ -120,7 +120,8 @@ impl SensorModel {
         if !unsteady.iter().all(|x| (0.0..0.2).contains(x)) {
             return bad("shutter_jitter and flicker must lie in 0..0.2");
         }
-        if !(1..=32).contains(&self.subsamples) || !(self.spacing_mm > 0.0) {
+        let apart = self.spacing_mm > 0.0;
+        if !(1..=32).contains(&self.subsamples) || !apart {
             return bad("subsamples must be 1 to 32, and spacing_mm positive");
         }
         let largest = match self.layout {
