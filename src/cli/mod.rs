@@ -13,6 +13,7 @@ mod ports;
 mod screen;
 mod terminal;
 
+mod calibrate;
 mod capture;
 mod demo;
 mod doctor;
@@ -57,6 +58,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Sim(sim::Arguments),
     Capture(capture::Arguments),
+    Calibrate(calibrate::Arguments),
     Rig(rig::Arguments),
     Doctor(doctor::Arguments),
     Measure(measure::Arguments),
@@ -88,6 +90,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Simulate(a) => simulate::run(a),
         Command::Sim(a) => sim::run(a),
         Command::Capture(a) => capture::run(a),
+        Command::Calibrate(a) => calibrate::run(a),
         Command::Rig(a) => rig::run(a),
         Command::Doctor(a) => doctor::run(a),
         Command::Measure(a) => measure::run(a),

@@ -163,9 +163,15 @@ impl Dark {
             exposure_ms: group[0].record.exposure_ms,
             mean,
             count: n,
+            // Places the layout does not have read as the others.
             variance: [0, 1, 2, 3].map(|p| {
-                if freedom[p] > 0.0 {
-                    (square[p] / freedom[p]).max(QUANTIZATION)
+                let [square, freedom] = if freedom[p] > 0.0 {
+                    [square[p], freedom[p]]
+                } else {
+                    [square.iter().sum(), freedom.iter().sum()]
+                };
+                if freedom > 0.0 {
+                    (square / freedom).max(QUANTIZATION)
                 } else {
                     QUANTIZATION
                 }

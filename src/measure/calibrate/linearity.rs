@@ -12,26 +12,19 @@
 //! same time in every exposure.
 
 use super::curve::Curve;
+use super::curve_fit::{Channel, FEWEST_EXPOSURES, Fit, Group, fit_where_straight, residuals};
 use super::darks::{Darks, wanted};
 use super::drift::Course;
-use super::least_squares::{Normal, Solution, cholesky, excess_variance, forward};
-use super::patch::{NAMES, Patch};
+use super::least_squares::Normal;
+use super::patch::Patch;
 use super::readings::{Reading, Rules, Sums, check_not_all_clipped};
 use super::recording::{Reader, Recording};
 use super::transfer::{Noise, dark_points, fit as fit_transfer};
 use super::{Calibrated, LinearityOptions};
 use crate::base::{Error, Result, Watch};
-use crate::measure::calibration::{
-    Calibrations, Dated, Kind, Linearity, LinearityPoint, TransferPoint,
-};
+use crate::measure::calibration::{Calibrations, Dated, Kind, Linearity, TransferPoint};
 use crate::measure::frames::{Taken, same_exposure};
 use crate::session::{FrameKind, SessionFolder};
-
-/// The corrected signal may be off from proportionality by this much.
-const TOLERANCE: f64 = 0.003;
-
-/// Fewer exposures say nothing of a curve.
-const FEWEST_EXPOSURES: usize = 5;
 
 /// The response curve and the photon transfer from steady light at many exposures.
 ///
@@ -68,7 +61,7 @@ pub fn linearity(
     };
     let darks = Darks::read(&reader, &darks, &mut patch, &lit, &known)?;
     let seen = read_series(&reader, &patch, &darks, &lit, options)?;
-    let groups = group(&seen, &course)?;
+    let groups = group(&seen, &course, &patch)?;
     let full_scale = reader.white - mean_bias(&reader, darks.bias);
     let (groups, fit) = fit_where_straight(groups, full_scale, options.max_order)?;
     let curve = Curve::new(fit.coefficients().to_vec(), full_scale, darks.bias);
@@ -185,30 +178,11 @@ fn mean_bias(reader: &Reader<'_>, bias: [f64; 4]) -> f64 {
     bias[..places].iter().sum::<f64>() / places as f64
 }
 
-/// One exposure: its channels that are not clipped in any frame.
-#[derive(Debug, Clone)]
-struct Group {
-    exposure_ms: f64,
-    channels: Vec<Channel>,
-}
-
-/// One channel of one exposure, averaged over frames.
-#[derive(Debug, Clone, Copy)]
-struct Channel {
-    channel: usize,
-    powers: [f64; 4],
-    level: f64,
-    /// Exposed time by the lamp's level, milliseconds.
-    time: f64,
-    /// Of `powers[0]`.
-    variance: f64,
-}
-
 /// Averages the frames of each exposure.
 ///
 /// # Errors
 /// Too few exposures that are not clipped.
-fn group(seen: &Series, course: &Course) -> Result<Vec<Group>> {
+fn group(seen: &Series, course: &Course, patch: &Patch) -> Result<Vec<Group>> {
     let exposure = |r: &Reading| r.frame.record.exposure_ms;
     let mut groups = Vec::new();
     for group in seen
@@ -222,7 +196,7 @@ fn group(seen: &Series, course: &Course) -> Result<Vec<Group>> {
                 .filter_map(|r| r.usable(c).map(|s| (&r.frame, s)))
                 .collect();
             let whole = !used.is_empty() && used.len() == group.iter().filter(sees).count();
-            whole.then(|| average(c, &used, &seen.noise, course))
+            whole.then(|| average(c, &used, seen, course, patch))
         };
         let channels: Vec<Channel> = (0..3).filter_map(channel).collect();
         if !channels.is_empty() {
@@ -242,7 +216,13 @@ fn group(seen: &Series, course: &Course) -> Result<Vec<Group>> {
     Ok(groups)
 }
 
-fn average(channel: usize, used: &[(&Taken, &Sums)], noise: &Noise, course: &Course) -> Channel {
+fn average(
+    channel: usize,
+    used: &[(&Taken, &Sums)],
+    seen: &Series,
+    course: &Course,
+    patch: &Patch,
+) -> Channel {
     let n = used.len() as f64;
     let mut mean = Channel {
         channel,
@@ -250,6 +230,7 @@ fn average(channel: usize, used: &[(&Taken, &Sums)], noise: &Noise, course: &Cou
         level: 0.0,
         time: 0.0,
         variance: 0.0,
+        copies: patch.copies(used[0].0.record.filter),
     };
     for (frame, sums) in used {
         for (mean, power) in mean.powers.iter_mut().zip(sums.powers) {
@@ -259,195 +240,11 @@ fn average(channel: usize, used: &[(&Taken, &Sums)], noise: &Noise, course: &Cou
         mean.level += sums.level / n;
         mean.time += frame.record.exposure_ms * level / n;
         let relative = variance / (level * level);
-        mean.variance += sums.own_variance(noise, channel) / (n * n) + sums.dark_variance() / n;
+        mean.variance +=
+            sums.own_variance(&seen.noise, channel) / (n * n) + sums.dark_variance() / n;
         mean.variance += sums.powers[0].powi(2) * relative / n;
     }
     mean
-}
-
-/// A fitted curve.
-struct Fit {
-    order: usize,
-    solution: Solution,
-    /// Relative variance of the exposed time of one exposure.
-    jitter: f64,
-}
-
-impl Fit {
-    fn coefficients(&self) -> &[f64] {
-        &self.solution.values[..self.order]
-    }
-
-    fn rate(&self, channel: usize) -> f64 {
-        self.solution.values[self.order + channel]
-    }
-
-    fn covariance(&self) -> Vec<Vec<f64>> {
-        let rows = self.solution.covariance[..self.order].iter();
-        rows.map(|r| r[..self.order].to_vec()).collect()
-    }
-
-    fn faults(&self, residuals: &[LinearityPoint]) -> Vec<String> {
-        let worst = residuals
-            .iter()
-            .filter(|p| p.residual.abs() > TOLERANCE + 4.0 * p.signal_se / p.signal)
-            .max_by(|a, b| a.residual.abs().total_cmp(&b.residual.abs()));
-        let text = |p: &LinearityPoint| {
-            format!(
-                "the corrected signal is not proportional to the exposure: {} at {} ms is off by {:+.2} % (tolerance {} %); is the light steady, are the exposure times true? (scatter of the exposed time {:.2} %)",
-                NAMES[p.channel],
-                p.exposure_ms,
-                100.0 * p.residual,
-                100.0 * TOLERANCE,
-                100.0 * self.jitter.sqrt()
-            )
-        };
-        worst.map(text).into_iter().collect()
-    }
-}
-
-/// Fits, and leaves out the brightest exposures as long as they do not follow the curve.
-fn fit_where_straight(
-    mut groups: Vec<Group>,
-    full_scale: f64,
-    max_order: usize,
-) -> Result<(Vec<Group>, Fit)> {
-    groups.sort_by(|a, b| a.exposure_ms.total_cmp(&b.exposure_ms));
-    loop {
-        let fit = fit_best(&groups, full_scale, max_order)?;
-        let curve = Curve::new(fit.coefficients().to_vec(), full_scale, [0.0; 4]);
-        let points = residuals(&groups, &fit, &curve);
-        let brightest = groups.last().map_or(0.0, |g| g.exposure_ms);
-        let off = points.iter().any(|p| {
-            same_exposure(p.exposure_ms, brightest)
-                && p.signal > 0.5 * full_scale
-                && p.residual.abs() > TOLERANCE + 4.0 * p.signal_se / p.signal
-        });
-        if !off || groups.len() <= FEWEST_EXPOSURES {
-            return Ok((groups, fit));
-        }
-        groups.pop();
-    }
-}
-
-/// The order is Akaike's (smallest chi-square + 2 order), all orders judged with the jitter of the highest.
-fn fit_best(groups: &[Group], full_scale: f64, max_order: usize) -> Result<Fit> {
-    let highest = max_order.min(3).min(groups.len() - 3);
-    let undetermined = || {
-        Error::new("the exposures do not determine the response curve")
-            .with_hint("shoot all three channels at exposures from nearly dark to nearly saturated")
-    };
-    let jitter = jitter(groups, full_scale, highest);
-    let mut best: Option<(f64, usize)> = None;
-    for order in 0..=highest {
-        let solution = solve(groups, full_scale, order, jitter).ok_or_else(undetermined)?;
-        let score = solution.chi_square + 2.0 * order as f64;
-        if best.is_none_or(|(least, _)| score < least) {
-            best = Some((score, order));
-        }
-    }
-    let order = best.map_or(0, |(_, order)| order);
-    let jitter = self::jitter(groups, full_scale, order);
-    let solution = solve(groups, full_scale, order, jitter).ok_or_else(undetermined)?;
-    Ok(Fit {
-        order,
-        solution,
-        jitter,
-    })
-}
-
-fn jitter(groups: &[Group], full_scale: f64, order: usize) -> f64 {
-    let observations: usize = groups.iter().map(|g| g.channels.len()).sum();
-    let freedom = observations.saturating_sub(order + 3);
-    excess_variance(freedom, 0.1, |v| {
-        solve(groups, full_scale, order, v).map_or(0.0, |s| s.chi_square)
-    })
-}
-
-/// Generalized least squares; variances are brought through the curve of the round before.
-fn solve(groups: &[Group], full_scale: f64, order: usize, jitter: f64) -> Option<Solution> {
-    let mut coefficients = vec![0.0; order];
-    let mut found = None;
-    for _ in 0..4 {
-        let curve = Curve::new(coefficients, full_scale, [0.0; 4]);
-        let mut normal = Normal::new(order + 3);
-        for group in groups {
-            add(&mut normal, group, &curve, full_scale, order, jitter)?;
-        }
-        let solution = normal.solve()?;
-        coefficients = solution.values[..order].to_vec();
-        found = Some(solution);
-    }
-    found
-}
-
-/// Adds one exposure: its channels have the exposed time's error in common.
-fn add(
-    normal: &mut Normal,
-    group: &Group,
-    curve: &Curve,
-    full_scale: f64,
-    order: usize,
-    jitter: f64,
-) -> Option<()> {
-    let linear: Vec<f64> = group
-        .channels
-        .iter()
-        .map(|c| linear(c, curve, full_scale))
-        .collect();
-    let n = linear.len();
-    let mut covariance = vec![vec![0.0; n]; n];
-    for i in 0..n {
-        for j in 0..n {
-            covariance[i][j] = jitter * linear[i] * linear[j];
-        }
-        let c = &group.channels[i];
-        covariance[i][i] += c.variance * curve.slope(c.level).powi(2);
-    }
-    let lower = cholesky(&covariance)?;
-    let row = |c: &Channel| -> Vec<f64> {
-        let mut row = vec![0.0; order + 4];
-        for k in 0..order {
-            row[k] = -c.powers[k + 1] / full_scale.powi(k as i32 + 1);
-        }
-        row[order + c.channel] = c.time;
-        row[order + 3] = c.powers[0];
-        row
-    };
-    let rows: Vec<Vec<f64>> = group.channels.iter().map(row).collect();
-    // Whitened: L^-1 times rows and values.
-    let mut columns: Vec<Vec<f64>> = (0..order + 4)
-        .map(|k| rows.iter().map(|r| r[k]).collect())
-        .collect();
-    for column in &mut columns {
-        forward(&lower, column);
-    }
-    for i in 0..n {
-        let row: Vec<f64> = columns[..order + 3].iter().map(|c| c[i]).collect();
-        normal.add(&row, columns[order + 3][i], 1.0);
-    }
-    Some(())
-}
-
-/// Mean linear signal of a channel.
-fn linear(c: &Channel, curve: &Curve, full_scale: f64) -> f64 {
-    let coefficients = curve.coefficients().iter().zip(1..);
-    let terms = coefficients.map(|(v, k)| v * c.powers[k as usize] / full_scale.powi(k));
-    c.powers[0] + terms.sum::<f64>()
-}
-
-fn residuals(groups: &[Group], fit: &Fit, curve: &Curve) -> Vec<LinearityPoint> {
-    let point = |g: &Group, c: &Channel| LinearityPoint {
-        exposure_ms: g.exposure_ms,
-        channel: c.channel,
-        signal: c.powers[0],
-        signal_se: c.variance.sqrt(),
-        residual: linear(c, curve, curve.full_scale()) / (fit.rate(c.channel) * c.time) - 1.0,
-    };
-    groups
-        .iter()
-        .flat_map(|g| g.channels.iter().map(move |c| point(g, c)))
-        .collect()
 }
 
 /// A pair's point through the curve.

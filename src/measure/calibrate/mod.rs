@@ -10,6 +10,7 @@ mod chart_rates;
 mod color;
 mod corners;
 mod curve;
+mod curve_fit;
 mod dark;
 mod darks;
 mod drift;

@@ -122,6 +122,11 @@ impl Patch {
         channels(self.layout, filter, place)
     }
 
+    /// How many channels are copies of one another behind this filter: three for a sensor without color, else one.
+    pub(super) fn copies(&self, filter: Option<Filter>) -> f64 {
+        self.channels(filter, 0).len() as f64
+    }
+
     /// How messages call it.
     pub(super) fn region(&self) -> String {
         let [left, top, right, bottom] = self.bounds;

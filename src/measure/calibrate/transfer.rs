@@ -111,7 +111,7 @@ pub(super) fn pair_points(
         channel,
         signal: linear / freedom,
         variance: square / freedom,
-        variance_se: square / freedom * (2.0 / freedom).sqrt(),
+        variance_se: square / freedom * (2.0 * patch.copies(filter) / freedom).sqrt(),
     };
     let seen = by_channel
         .into_iter()
@@ -140,7 +140,7 @@ pub(super) fn dark_points(darks: &Darks, patch: &Patch, curve: &Curve) -> Vec<Tr
                     channel,
                     signal: signal / freedom,
                     variance: square / freedom,
-                    variance_se: square / freedom * (2.0 / freedom).sqrt(),
+                    variance_se: square / freedom * (2.0 * patch.copies(None) / freedom).sqrt(),
                 });
             }
         }
