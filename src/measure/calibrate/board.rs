@@ -174,7 +174,9 @@ pub(super) fn follow(camera: &mut Camera, stated: &Camera, poses: &[Pose]) {
         let Some(solution) = work.normal(Some(stated)).solve() else {
             return;
         };
-        work.step(&solution);
+        if work.step(&solution) < 1e-3 {
+            break;
+        }
     }
     if work.camera.values.iter().all(|v| v.is_finite()) {
         *camera = work.camera;
@@ -209,7 +211,7 @@ pub(super) fn fit(camera: &Camera, poses: &[Pose], hold: &[usize]) -> Option<Fit
         let before = work.pointing;
         work.weigh(&found);
         solution = Some(found);
-        let settled = (0..2).all(|k| (work.pointing[k] / before[k]).sqrt() > 0.995);
+        let settled = (0..2).all(|k| (work.pointing[k] / before[k] - 1.0).abs() < 1e-3);
         if round > 5 && moved < 1e-6 && settled {
             break;
         }

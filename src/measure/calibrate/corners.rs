@@ -6,131 +6,7 @@
 //! directions moves it only in second order. Light that changes linearly across the corner is fitted along.
 
 use super::least_squares::{Normal, Solution};
-use crate::measure::RawFrame;
-use crate::session::Layout;
-
-/// A box of a frame, mean over its repeats.
-pub(super) struct View {
-    layout: Layout,
-    /// Width of the whole frame.
-    width: usize,
-    /// Left, top, right, bottom; one past the end.
-    bounds: [usize; 4],
-    /// By value of the box, row by row; frames are added up.
-    values: Vec<f32>,
-    /// False where a value is clipped in any of the frames, or hot.
-    kept: Vec<bool>,
-    frames: f32,
-    black: [f64; 4],
-}
-
-/// A value of a view: its pixel's middle, its place in the layout, what it reads.
-#[derive(Clone, Copy)]
-struct Value {
-    at: [f64; 2],
-    place: usize,
-    reading: f64,
-}
-
-impl View {
-    /// The box of these frames, which are of one pose and exposure. `hot` lists pixels (column, row) to leave out.
-    pub(super) fn new(
-        first: &RawFrame,
-        bounds: [usize; 4],
-        limit: f64,
-        hot: &[[usize; 2]],
-    ) -> Self {
-        let [left, top, right, bottom] = bounds;
-        let n = first.layout.values_per_pixel();
-        let values = (right - left) * (bottom - top) * n;
-        let mut view = Self {
-            layout: first.layout,
-            width: first.width,
-            bounds,
-            values: vec![0.0; values],
-            kept: vec![true; values],
-            frames: 0.0,
-            black: first.black,
-        };
-        for &[x, y] in hot {
-            if (left..right).contains(&x) && (top..bottom).contains(&y) {
-                let start = ((y - top) * (right - left) + x - left) * n;
-                view.kept[start..start + n].fill(false);
-            }
-        }
-        view.add(first, limit);
-        view
-    }
-
-    /// Adds a repeat.
-    pub(super) fn add(&mut self, frame: &RawFrame, limit: f64) {
-        let [left, top, right, bottom] = self.bounds;
-        let n = self.layout.values_per_pixel();
-        let rows = (top..bottom)
-            .flat_map(|y| &frame.data[(y * self.width + left) * n..(y * self.width + right) * n]);
-        for ((sum, kept), &raw) in self.values.iter_mut().zip(&mut self.kept).zip(rows) {
-            *sum += f32::from(raw);
-            *kept &= f64::from(raw) < limit;
-        }
-        self.frames += 1.0;
-    }
-
-    /// The fraction of values that are clipped or hot.
-    pub(super) fn clipped(&self) -> f64 {
-        let clipped = self.kept.iter().filter(|k| !**k).count();
-        clipped as f64 / self.kept.len().max(1) as f64
-    }
-
-    /// The kept values of the pixel in this column and row of the frame.
-    fn pixel(&self, x: usize, y: usize) -> impl Iterator<Item = Value> + '_ {
-        let [left, top, right, bottom] = self.bounds;
-        let n = self.layout.values_per_pixel();
-        let inside = (left..right).contains(&x) && (top..bottom).contains(&y);
-        let first = match inside {
-            true => ((y - top) * (right - left) + x - left) * n,
-            false => 0,
-        };
-        let values = (0..if inside { n } else { 0 }).filter(move |k| self.kept[first + k]);
-        values.map(move |k| Value {
-            at: [x as f64 + 0.5, y as f64 + 0.5],
-            place: self.layout.place(self.width, (y * self.width + x) * n + k),
-            reading: f64::from(self.values[first + k] / self.frames),
-        })
-    }
-
-    /// The values of all pixels whose middles lie this close (pixels, in x and y) to a point.
-    fn around(&self, [x, y]: [f64; 2], reach: f64) -> impl Iterator<Item = Value> + '_ {
-        let range = |middle: f64, low: usize, high: usize| {
-            let first = (middle - reach).floor().max(low as f64) as usize;
-            let last = ((middle + reach).ceil().max(0.0) as usize).min(high);
-            first..last
-        };
-        let [left, top, right, bottom] = self.bounds;
-        let columns = range(x, left, right);
-        range(y, top, bottom)
-            .flat_map(move |y| columns.clone().map(move |x| (x, y)))
-            .flat_map(|(x, y)| self.pixel(x, y))
-    }
-
-    /// What dark and bright squares read, by place: the values one twentieth from either end.
-    fn levels(&self) -> [[f64; 2]; 4] {
-        let [left, top, right, bottom] = self.bounds;
-        let mut sorted: [Vec<f64>; 4] = Default::default();
-        for (x, y) in (top..bottom).flat_map(|y| (left..right).map(move |x| (x, y))) {
-            for value in self.pixel(x, y) {
-                sorted[value.place].push(value.reading);
-            }
-        }
-        sorted.map(|mut values| {
-            values.sort_by(f64::total_cmp);
-            let at = |part: f64| {
-                let last = values.len().saturating_sub(1) as f64;
-                values.get((part * last) as usize).copied()
-            };
-            [at(0.05).unwrap_or(0.0), at(0.95).unwrap_or(0.0)]
-        })
-    }
-}
+use super::view::{Value, View};
 
 /// A board as it should be seen: inner corners each way, and the image point of a point given in squares from the middle
 /// of the inner corners.
@@ -152,23 +28,27 @@ impl Expected<'_> {
         })
     }
 
-    /// Pixels per square along the board's x and y at a place.
-    fn axes(&self, [a, b]: [f64; 2]) -> [[f64; 2]; 2] {
-        let step = |da: f64, db: f64| {
+    /// The edges that cross at a place.
+    fn edges(&self, [a, b]: [f64; 2]) -> Edges {
+        let middle = (self.to_pixel)([a, b]);
+        // Along the board's y and x: one square, and how far its middle lies off the chord.
+        let along = [[0.0, 0.5], [0.5, 0.0]].map(|[da, db]: [f64; 2]| {
             let (p, q) = (
                 (self.to_pixel)([a + da, b + db]),
                 (self.to_pixel)([a - da, b - db]),
             );
-            [p[0] - q[0], p[1] - q[1]]
-        };
-        [step(0.5, 0.0), step(0.0, 0.5)]
+            let square = [p[0] - q[0], p[1] - q[1]];
+            let off = [0, 1].map(|k| 0.5 * (p[k] + q[k]) - middle[k]);
+            (square, off)
+        });
+        Edges::new(along)
     }
 
     /// The smallest distance between opposite edges of a square, over all corners, pixels.
     pub(super) fn smallest_square(&self) -> f64 {
         let widths = self
             .places()
-            .map(|(p, _)| Edges::new(self.axes(p)))
+            .map(|(p, _)| self.edges(p))
             .flat_map(|e| e.spacing);
         widths.fold(f64::MAX, f64::min)
     }
@@ -267,7 +147,7 @@ pub(super) fn find(view: &View, expected: &Expected<'_>, sign: f64) -> Vec<Corne
     let mut corners: Vec<Corner> = expected
         .places()
         .filter_map(|(place, color)| {
-            let edges = Edges::new(expected.axes(place));
+            let edges = expected.edges(place);
             let start = (expected.to_pixel)(place);
             Fit::run(view, edges, start, color * sign).map(|corner| Corner { place, ..corner })
         })
@@ -286,21 +166,38 @@ struct Edges {
     normals: [[f64; 2]; 2],
     /// Distance to the next parallel edge, pixels.
     spacing: [f64; 2],
+    /// How a distorting lens bends them: distance off the tangent along the normal, over the square of the distance along
+    /// the edge, 1/pixel.
+    bend: [f64; 2],
 }
 
 impl Edges {
-    /// From the image of one square along the board's x and y.
-    fn new([x, y]: [[f64; 2]; 2]) -> Self {
+    /// From the image of one square along the board's y and x, and how far its middle lies off the chord.
+    fn new([(y, y_off), (x, x_off)]: [([f64; 2], [f64; 2]); 2]) -> Self {
         let area = x[0] * y[1] - x[1] * y[0];
-        let lengths = [y, x].map(|e: [f64; 2]| e[0].hypot(e[1]));
+        let lengths = [y, x].map(|e| e[0].hypot(e[1]));
         let turn = area.signum();
+        let normals = [
+            [turn * y[1] / lengths[0], -turn * y[0] / lengths[0]],
+            [-turn * x[1] / lengths[1], turn * x[0] / lengths[1]],
+        ];
+        let bend = [(0, y_off), (1, x_off)].map(|(k, off): (usize, [f64; 2])| {
+            (normals[k][0] * off[0] + normals[k][1] * off[1]) / (0.5 * lengths[k]).powi(2)
+        });
         Self {
-            normals: [
-                [turn * y[1] / lengths[0], -turn * y[0] / lengths[0]],
-                [-turn * x[1] / lengths[1], turn * x[0] / lengths[1]],
-            ],
+            normals,
             spacing: lengths.map(|l| area.abs() / l),
+            bend,
         }
+    }
+
+    /// Distances of a point at this offset from the corner from both edges.
+    fn distances(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|k| {
+            let [n, m] = self.normals[k];
+            let along = n * y - m * x;
+            n * x + m * y - self.bend[k] * along * along
+        })
     }
 }
 
@@ -390,14 +287,15 @@ impl Fit {
     }
 
     fn distances(&self, at: [f64; 2]) -> [f64; 2] {
-        let [x, y] = [at[0] - self.at[0], at[1] - self.at[1]];
-        self.edges.normals.map(|n| n[0] * x + n[1] * y)
+        self.edges
+            .distances([at[0] - self.at[0], at[1] - self.at[1]])
     }
 
     /// Of the picture (-1 to 1) at a point: its value, and its derivatives by x, y of the corner and log blur.
     fn picture(&self, at: [f64; 2]) -> [f64; 4] {
         let blur = self.log_blur.exp();
-        let waves = [0, 1].map(|k| wave(self.distances(at)[k], self.edges.spacing[k], blur));
+        let distances = self.distances(at);
+        let waves = [0, 1].map(|k| wave(distances[k], self.edges.spacing[k], blur));
         let [[u, du, su], [v, dv, sv]] = waves;
         let [n, m] = self.edges.normals;
         [

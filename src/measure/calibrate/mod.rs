@@ -1,10 +1,13 @@
-//! From recorded sessions to calibrations: what pixels read without light, how they answer to light, the white standard
-//! and the lamp; each value with its uncertainty.
+//! From recorded sessions to calibrations: what pixels read without light, how they answer to light, the white standard,
+//! the lamp, the camera's geometry and its colors; each value with its uncertainty.
 //!
 //! Frames are read one after another; never more than two are held, beside sums over pixels. docs/calibration.md has the
 //! equations and says how each session is shot.
 
 mod board;
+mod chart;
+mod chart_rates;
+mod color;
 mod corners;
 mod curve;
 mod curve_fit;
@@ -19,9 +22,12 @@ mod panel;
 mod patch;
 mod readings;
 mod recording;
+mod tour;
 mod transfer;
+mod view;
 mod white;
 
+pub use color::{ColorOptions, ColorPatch, ColorReport, color};
 pub use dark::dark;
 pub use drift::drift;
 pub use flat::flat;
