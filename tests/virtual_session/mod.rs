@@ -275,6 +275,7 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
     let plan = Plan {
         name: "test".to_owned(),
         description: String::new(),
+        shows: FrameKind::Sample,
         configurations: configurations.clone(),
     };
     for (pose, truth) in configurations.iter().zip(&setup.poses) {
