@@ -1,6 +1,7 @@
 //! One RAW file to the visible mosaic of its sensor.
 
 use super::container::{self, Container};
+use super::raw_claims;
 use crate::base::{Context, Error, Result};
 use crate::session::{CfaPattern, Layout};
 use std::path::Path;
@@ -59,6 +60,7 @@ pub fn decode_file(path: &Path) -> Result<RawFrame> {
 /// When the file is torn, no RAW file, of an unknown camera, compressed in a way that is not read, or has another mosaic.
 pub fn decode(bytes: &[u8]) -> Result<RawFrame> {
     let container = container::inspect(bytes)?;
+    raw_claims::check(bytes)?;
     let image = rawloader::decode(&mut &bytes[..]).map_err(|e| explain(&e.to_string()))?;
     let [top, right, bottom, left] = image.crops;
     let (Some(width), Some(height)) = (

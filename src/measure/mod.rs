@@ -14,6 +14,7 @@ mod judge;
 mod lamp;
 mod noise;
 mod picture;
+mod raw_claims;
 mod report;
 mod run;
 mod stack;
