@@ -1,8 +1,8 @@
-//! Promise: a DNG file the project writes is read back by an independent decoder and EXIF reader, pixel for pixel.
+//! Promise: a DNG or TIFF file the project writes is read back by an independent decoder and EXIF reader, pixel for pixel.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
 use goniofit::math::Random;
-use goniofit::session::{BitDepth, CfaPattern, DngImage, write_dng};
+use goniofit::session::{BitDepth, CfaPattern, DngImage, Layout, TiffImage, write_dng, write_tiff};
 
 fn random_data(width: usize, height: usize, largest: u16) -> Vec<u16> {
     let mut random = Random::keyed(&[11, width as u64, height as u64, u64::from(largest)]);
@@ -110,4 +110,38 @@ fn the_bytes_are_a_function_of_the_image() {
     let data = random_data(17, 9, 4095);
     let i = image(17, 9, BitDepth::Twelve, CfaPattern::Bggr, &data);
     assert_eq!(write_dng(&i).unwrap(), write_dng(&i).unwrap());
+}
+
+#[test]
+fn any_reader_gets_the_values_of_a_tiff_frame_back() {
+    let data: Vec<u16> = (0..18).map(|i| 3641 * i).collect();
+    for (layout, data) in [(Layout::Mono, &data[..6]), (Layout::Rgb, &data[..])] {
+        let bytes = write_tiff(&TiffImage {
+            width: 3,
+            height: 2,
+            layout,
+            data,
+            white: 50_000,
+            make: "goniofit",
+            model: "virtual camera",
+            exposure_ms: Some(12.5),
+            iso: Some(100),
+        });
+        let bytes = bytes.unwrap();
+        let format = image::ImageFormat::Tiff;
+        let read = image::load_from_memory_with_format(&bytes, format).unwrap();
+        assert_eq!((read.width(), read.height()), (3, 2));
+        match layout {
+            Layout::Rgb => assert_eq!(read.as_rgb16().unwrap().as_raw(), data),
+            _ => assert_eq!(read.as_luma16().unwrap().as_raw(), data),
+        }
+        let exif = exif::Reader::new()
+            .read_from_container(&mut std::io::Cursor::new(&bytes))
+            .unwrap();
+        let exposure = exif.get_field(exif::Tag::ExposureTime, exif::In::PRIMARY);
+        let exif::Value::Rational(seconds) = &exposure.unwrap().value else {
+            panic!("the exposure is no fraction");
+        };
+        assert!((seconds[0].to_f64() - 0.0125).abs() < 1e-12);
+    }
 }

@@ -35,6 +35,8 @@ const CRATES: &[(&str, &[&str])] = &[
     ("aravis", &["rig"]),
     ("rawloader", &["measure"]),
     ("exif", &["measure"]),
+    ("tiff", &["measure"]),
+    ("png", &["measure"]),
     ("exr", &["measure", "report"]),
     ("obvhs", &["render"]),
     ("clap", &["cli"]),

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
 use goniofit::measure::{Crop, decode, decode_file, frame_statistics};
-use goniofit::session::{BitDepth, CfaPattern, DngImage, write_dng};
+use goniofit::session::{BitDepth, CfaPattern, DngImage, Layout, write_dng};
 use std::path::Path;
 
 /// Reference means of three real files (LibRaw), outside the project because of their size.
@@ -78,6 +78,7 @@ fn real_files_give_the_reference_means() {
     assert_eq!(files, 3);
 }
 
+/// A 12-bit DNG and its values.
 fn dng(width: usize, height: usize, cfa: CfaPattern, black: [f64; 4]) -> (Vec<u16>, Vec<u8>) {
     let data: Vec<u16> = (0..width * height)
         .map(|i| (i * 37 % 4001) as u16)
@@ -106,7 +107,10 @@ fn a_dng_comes_back_with_its_own_black_level_at_every_place() {
         let (data, bytes) = dng(23, 14, cfa, black);
         let frame = decode(&bytes).unwrap();
         assert_eq!((frame.width, frame.height), (23, 14));
-        assert_eq!((frame.cfa(), frame.black, frame.white), (cfa, black, 4000));
+        assert_eq!(
+            (frame.layout, frame.black, frame.white),
+            (Layout::Bayer(cfa), black, 4000)
+        );
         assert!(frame.data == data);
         assert_eq!((frame.exposure_ms, frame.iso), (Some(12.5), Some(100)));
         assert!(frame.date_time.unwrap().starts_with("2024"));
@@ -191,9 +195,14 @@ fn files_that_cannot_be_read_say_what_to_do() {
     );
     expect(b"", &["not a RAW file"]);
     expect(
-        b"\x89PNG\r\n\x1a\nnothing to see here, move along, please",
+        b"nothing to see here, move along, please",
         &["not a RAW file"],
     );
+    expect(
+        b"\xff\xd8\xff\xe1 and so on",
+        &["a JPEG image", "RAW files"],
+    );
+    expect(b"II\x2b\0\x08\0\0\0", &["BigTIFF", "hint:"]);
     expect(
         b"\0\0\0\x18ftypcrx \0\0\0\x01crx isom",
         &["CR3", "convert to uncompressed DNG"],
@@ -214,7 +223,8 @@ fn files_that_cannot_be_read_say_what_to_do() {
         &["14 bits per sample", "16-bit uncompressed DNG"],
     );
     expect(&with(258, 10), &["10 bits per sample"]);
-    expect(&with(262, 34892), &["no color filter mosaic"]);
+    expect(&with(262, 2), &["no color filter mosaic"]);
+    expect(&with(277, 3), &["3 samples per pixel"]);
     expect(&with(256, 4000), &["ends inside its image"]);
     // The 2x2 pattern red, green, green, green is no Bayer array.
     let mut odd = good.clone();

@@ -7,8 +7,8 @@ mod virtual_session;
 use goniofit::math::PolarDirection;
 use goniofit::measure::{FrameJudge, decode_file};
 use goniofit::session::{
-    BitDepth, CameraFacts, CfaPattern, Configuration, DngImage, Exposedness, FrameKind, Projection,
-    write_dng,
+    BitDepth, CameraFacts, CfaPattern, Configuration, DngImage, Exposedness, FrameKind, Layout,
+    Projection, TiffImage, write_dng, write_tiff,
 };
 use std::path::Path;
 use virtual_session::{SAMPLE_SQUARE_MM, Setup, folder, record};
@@ -102,6 +102,51 @@ fn peak_and_mean_are_fractions_of_black_to_white_over_the_crop_alone() {
         look(&data, &pose(0.0, 0.0)).peak,
         [3800.0 / 3900.0, 3790.0 / 3800.0, 0.5],
     );
+}
+
+/// Half way to white in the crop, white around it beyond the margin; without filters, or in all three channels.
+#[test]
+fn frames_without_a_mosaic_are_judged_pixel_by_pixel() {
+    for layout in [Layout::Mono, Layout::Rgb] {
+        let n = layout.values_per_pixel();
+        let at = |x: usize, y: usize, c: usize| n * (y * SIZE[0] + x) + c;
+        let mut data = vec![4000_u16; n * SIZE[0] * SIZE[1]];
+        for y in 12..36 {
+            for x in 18..42 {
+                for c in 0..n {
+                    data[at(x, y, c)] = 2000 - 500 * c as u16;
+                }
+            }
+        }
+        let look = |data: &[u16]| {
+            let bytes = write_tiff(&TiffImage {
+                width: SIZE[0],
+                height: SIZE[1],
+                layout,
+                data,
+                white: 4000,
+                make: "goniofit",
+                model: "test",
+                exposure_ms: None,
+                iso: None,
+            });
+            let seen = judge().look(FrameKind::Sample, &pose(0.0, 0.0), &bytes.unwrap(), "tif");
+            seen.unwrap().unwrap()
+        };
+        let half = if n == 1 { [0.5; 3] } else { [0.5, 0.375, 0.25] };
+        expect(look(&data).mean, half);
+        expect(look(&data).peak, half);
+        // One bright pixel stands alone; two side by side are a highlight, in their channel.
+        data[at(24, 20, 0)] = 3900;
+        expect(look(&data).peak, half);
+        data[at(25, 21, 0)] = 3800;
+        let highlight = if n == 1 {
+            [0.95; 3]
+        } else {
+            [0.95, 0.375, 0.25]
+        };
+        expect(look(&data).peak, highlight);
+    }
 }
 
 #[test]

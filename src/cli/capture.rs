@@ -228,13 +228,14 @@ fn rig_and_plan(arguments: &Arguments) -> Result<(RigDescription, Plan)> {
 }
 
 /// What program this is, exactly; empty when its file cannot be read.
-fn own_sha256() -> String {
+pub(super) fn own_sha256() -> String {
     std::env::current_exe()
         .and_then(std::fs::read)
         .map_or(String::new(), |bytes| sha256(&bytes))
 }
 
-fn host_name() -> String {
+/// Name of the computer.
+pub(super) fn host_name() -> String {
     rustix::system::uname()
         .nodename()
         .to_string_lossy()

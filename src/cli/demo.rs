@@ -11,7 +11,7 @@ use crate::rig::capture::CaptureOptions;
 use crate::rig::simulated::capture_over_pty;
 use crate::rig::{ReplayCamera, RigDescription};
 use crate::scatter;
-use crate::session::{FrameKind, Measurements, Projection, SessionFolder, files};
+use crate::session::{FrameKind, Layout, Measurements, Projection, SessionFolder, files};
 use std::path::{Path, PathBuf};
 
 /// The whole main job on the recorded session: capture, measure, fit, report
@@ -307,16 +307,27 @@ fn frames_section(session: &SessionFolder) -> Result<Section> {
     })
 }
 
-/// Half-size RGB of a mosaic, scaled so that its 99th percentile is white, with an outline.
+/// Half-size RGB of a frame, scaled so that its 99th percentile is white, with an outline.
 fn preview(raw: &crate::measure::RawFrame, corners: &[[f64; 2]; 4]) -> (usize, usize, Vec<u8>) {
     let (width, height) = (raw.width / 2, raw.height / 2);
     let mut linear = vec![0.0_f64; 3 * width * height];
     for y in 0..2 * height {
         for x in 0..2 * width {
-            let channel = raw.cfa().channel(y, x);
-            let share = if channel == 1 { 0.5 } else { 1.0 };
-            let value = f64::from(raw.data[y * raw.width + x]) - raw.black[2 * (y % 2) + x % 2];
-            linear[3 * ((y / 2) * width + x / 2) + channel] += share * value.max(0.0);
+            for (channel, index) in raw.values_at(x, y) {
+                let share = match raw.layout {
+                    Layout::Bayer(_) if channel == 1 => 0.5,
+                    Layout::Bayer(_) => 1.0,
+                    Layout::Mono | Layout::Rgb => 0.25,
+                };
+                let value = raw.fraction(raw.data[index], index).max(0.0);
+                let at = 3 * ((y / 2) * width + x / 2);
+                linear[at + channel] += share * value;
+            }
+        }
+    }
+    if raw.layout == Layout::Mono {
+        for pixel in linear.chunks_exact_mut(3) {
+            pixel.fill(pixel[0]);
         }
     }
     let mut sorted = linear.clone();
@@ -325,7 +336,7 @@ fn preview(raw: &crate::measure::RawFrame, corners: &[[f64; 2]; 4]) -> (usize, u
         .get(sorted.len() * 99 / 100)
         .copied()
         .unwrap_or(1.0)
-        .max(1.0);
+        .max(1e-4);
     let mut pixels: Vec<u8> = linear
         .iter()
         .map(|v| (255.0 * (v / white).min(1.0).powf(1.0 / 2.2)) as u8)

@@ -26,18 +26,18 @@ enum What {
     Session(SessionArguments),
 }
 
-/// Raw values of one RAW file, per channel of its color filter array (black not subtracted)
+/// Raw values of one frame, per channel (black not subtracted)
 #[derive(Args)]
 #[command(
     after_help = "Coordinates count from the top left pixel of the visible area (masked margins removed).
-Channels: R, G1 (greens of even rows), G2 (greens of odd rows), B.
+Channels of a mosaic: R, G1 (greens of even rows), G2 (greens of odd rows), B; without filters: Y; else R, G, B.
 
 Examples:
   goniofit measure frame IMG_0001.CR2 --crop 1056,760,200,200
-  goniofit measure frame shot.dng --json        the whole visible area"
+  goniofit measure frame shot.fits --json       the whole visible area"
 )]
 struct FrameArguments {
-    /// RAW file: any the decoder knows, or DNG
+    /// Camera RAW, DNG, or linear 16-bit TIFF, PNG or FITS (docs/cameras.md)
     file: PathBuf,
     /// Box of the visible area; default: all of it
     #[arg(long, value_name = "X,Y,W,H", value_parser = parse_crop)]
@@ -152,6 +152,7 @@ fn frame_json(file: &Path, frame: &RawFrame, statistics: &FrameStatistics) -> se
         "black": frame.black,
         "white": frame.white,
         "exposure_ms": frame.exposure_ms,
+        "aperture": frame.aperture,
         "iso": frame.iso,
         "date_time": frame.date_time,
         "crop": statistics.crop,

@@ -23,6 +23,7 @@ mod render;
 mod report;
 mod rig;
 mod scatter;
+mod session;
 mod sim;
 mod simulate;
 
@@ -57,6 +58,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Sim(sim::Arguments),
     Capture(capture::Arguments),
+    Session(session::Arguments),
     Rig(rig::Arguments),
     Doctor(doctor::Arguments),
     Measure(measure::Arguments),
@@ -88,6 +90,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Simulate(a) => simulate::run(a),
         Command::Sim(a) => sim::run(a),
         Command::Capture(a) => capture::run(a),
+        Command::Session(a) => session::run(a),
         Command::Rig(a) => rig::run(a),
         Command::Doctor(a) => doctor::run(a),
         Command::Measure(a) => measure::run(a),

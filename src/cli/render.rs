@@ -4,9 +4,9 @@ use super::output::data;
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
 use crate::render::{Effort, Estimates, FiberScene, FiberSceneOptions, LightShape, Request, Scene};
-use crate::rig::RigDescription;
+use crate::rig::{LightSource, RigDescription};
 use crate::scatter::{self, Parameters};
-use crate::session::{Plan, SessionFolder};
+use crate::session::{Plan, SessionFolder, files};
 use crate::{fabric, scatter::Model};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -86,27 +86,39 @@ pub(crate) fn fiber_scene(
 
 /// What a rig puts around the cloth.
 pub(crate) fn surroundings(rig: &RigDescription) -> Result<FiberSceneOptions> {
-    let [width, height] = rig.light.size_mm;
+    around(&rig.name, &rig.light, rig.camera.sample_square_mm)
+}
+
+fn around(rig: &str, light: &LightSource, sample_square: f64) -> Result<FiberSceneOptions> {
+    let [width, height] = light.size_mm;
     if (width - height).abs() > 1e-9 * width {
         return Err(Error::new(format!(
-            "rig '{}': a light of {width} x {height} mm cannot be rendered",
-            rig.name
+            "rig '{rig}': a light of {width} x {height} mm cannot be rendered"
         ))
         .with_hint("the renderer knows square lights"));
     }
     let light = LightShape {
         side: width,
-        distance: rig.light.distance_mm,
+        distance: light.distance_mm,
     };
     Ok(FiberSceneOptions {
         light,
-        sample_square: rig.camera.sample_square_mm,
+        sample_square,
     })
 }
 
-/// What the rig of a session puts around the cloth.
+/// What the rig of a session puts around the cloth. The rig file of an imported session may describe the light and the
+/// camera alone.
 pub(crate) fn surroundings_of(session: &SessionFolder) -> Result<FiberSceneOptions> {
-    surroundings(&RigDescription::read(&session.root().join("rig.toml"))?)
+    #[derive(serde::Deserialize)]
+    struct Light {
+        light: LightSource,
+    }
+    let manifest = session.manifest()?;
+    let path = session.root().join("rig.toml");
+    let Light { light } = toml::from_str(&files::read_text(&path)?)
+        .context(|| format!("{} does not describe the light", path.display()))?;
+    around(&manifest.rig, &light, manifest.sample_square_mm)
 }
 
 fn means(a: &MeansArguments) -> Result<Outcome> {

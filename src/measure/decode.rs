@@ -1,12 +1,25 @@
-//! One RAW file to the visible mosaic of its sensor.
+//! One file to the raw values of the visible part of its sensor.
+//!
+//! Camera RAW files and compressed DNG go through `rawloader`; plain 16-bit DNG, TIFF, PNG and FITS are read by the files
+//! beside this one. Refuses what would be read wrongly: docs/cameras.md lists it.
 
-use super::container::{self, Container};
-use super::raw_claims;
+mod camera_raw;
+mod dng;
+mod exif_fields;
+mod fits;
+mod icc;
+mod plain_png;
+mod plain_tiff;
+mod raw_claims;
+mod tiff_structure;
+
 use crate::base::{Context, Error, Result};
 use crate::session::{CfaPattern, Layout};
+use exif_fields::ExifFields;
 use std::path::Path;
+use tiff_structure::{DNG_VERSION, Tiff};
 
-/// The visible part of a sensor's mosaic, as read: black not subtracted, nothing scaled.
+/// The visible part of a sensor, as read: black not subtracted, nothing scaled, never demosaiced.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RawFrame {
     /// Camera maker, as in the file.
@@ -39,13 +52,31 @@ pub struct RawFrame {
 }
 
 impl RawFrame {
-    /// The mosaic.
-    pub fn cfa(&self) -> CfaPattern {
+    /// The values of the pixel (x, y): channel (0 red, 1 green, 2 blue) and index in the data. The one value of
+    /// [`Layout::Mono`] is given as channel 0.
+    pub fn values_at(&self, x: usize, y: usize) -> impl Iterator<Item = (usize, usize)> {
+        let pixel = y * self.width + x;
+        let (channel, first, count) = match self.layout {
+            Layout::Bayer(cfa) => (cfa.channel(y, x), pixel, 1),
+            Layout::Mono => (0, pixel, 1),
+            Layout::Rgb => (0, 3 * pixel, 3),
+        };
+        (0..count).map(move |i| (channel + i, first + i))
+    }
+
+    /// The mosaic; of other layouts an arbitrary one.
+    pub(super) fn cfa(&self) -> CfaPattern {
         self.layout.cfa().unwrap_or(CfaPattern::Rggb)
+    }
+
+    /// A raw value as fraction of the way from the black level of its place to the white level.
+    pub fn fraction(&self, value: u16, index: usize) -> f64 {
+        let black = self.black[self.layout.place(self.width, index)];
+        (f64::from(value) - black) / (f64::from(self.white) - black)
     }
 }
 
-/// Reads and decodes a RAW file; see [`decode`].
+/// Reads and decodes a frame's file; see [`decode`].
 ///
 /// # Errors
 /// With the path: when it cannot be read, or as [`decode`].
@@ -54,168 +85,121 @@ pub fn decode_file(path: &Path) -> Result<RawFrame> {
     decode(&bytes).context(|| format!("{} cannot be decoded", path.display()))
 }
 
-/// Decodes the bytes of a RAW file with a 2x2 red-green-blue mosaic: any camera the decoder knows, and DNG.
+/// Decodes the bytes of a frame: any camera the decoder knows with a 2x2 red-green-blue mosaic, DNG, and linear 16-bit TIFF,
+/// PNG and FITS.
 ///
 /// # Errors
-/// When the file is torn, no RAW file, of an unknown camera, compressed in a way that is not read, or has another mosaic.
+/// When the file is torn, no image, of an unknown camera, compressed in a way that is not read, has another mosaic, fewer
+/// than 16 bits in a container for pictures, levels without meaning, or says that its values are not linear.
 pub fn decode(bytes: &[u8]) -> Result<RawFrame> {
-    let container = container::inspect(bytes)?;
-    raw_claims::check(bytes)?;
-    let image = rawloader::decode(&mut &bytes[..]).map_err(|e| explain(&e.to_string()))?;
-    let [top, right, bottom, left] = image.crops;
-    let (Some(width), Some(height)) = (
-        image.width.checked_sub(left + right).filter(|&w| w > 0),
-        image.height.checked_sub(top + bottom).filter(|&h| h > 0),
-    ) else {
-        return Err(Error::new(format!(
-            "the margins {:?} leave nothing of {} x {} pixels",
-            image.crops, image.width, image.height
-        )));
-    };
-    if image.cpp != 1 {
-        return Err(Error::new(format!(
-            "{} values per pixel: not a mosaic",
-            image.cpp
-        )));
+    let frame = decode_any(bytes)?;
+    if frame.black.iter().all(|&b| b < f64::from(frame.white)) {
+        return Ok(frame);
     }
-    let rawloader::RawImageData::Integer(full) = &image.data else {
-        return Err(Error::new("raw values are not integers").with_hint("convert to 16-bit DNG"));
-    };
-    if full.len() < image.width * image.height {
-        return Err(Error::new(format!(
-            "{} raw values for {} x {} pixels",
-            full.len(),
-            image.width,
-            image.height
-        )));
-    }
-    let (cfa, black) = mosaic(&image, container)?;
-    let rows = full.chunks_exact(image.width).skip(top).take(height);
-    let data = rows.flat_map(|row| &row[left..left + width]).copied();
-    let data: Vec<u16> = data.collect();
-    let white = image.whitelevels.into_iter().filter(|&w| w > 0).min();
-    let exif = Exif::read(bytes);
-    Ok(RawFrame {
-        width,
-        height,
-        margins: image.crops,
-        layout: Layout::Bayer(cfa),
-        black,
-        white: white.unwrap_or(u16::MAX),
-        data,
-        exposure_ms: exif.exposure_ms,
-        aperture: exif.aperture,
-        iso: exif.iso,
-        date_time: exif.date_time,
-        make: image.make,
-        model: image.model,
-    })
+    Err(Error::new(format!(
+        "black levels {:?} that are not below the white level {}",
+        frame.black, frame.white
+    ))
+    .with_hint(CONVERT))
 }
 
-/// Turns the decoder's message into one for a person.
-fn explain(message: &str) -> Error {
-    let text = message.trim_start_matches("RawLoaderError: ");
-    let text = text.trim_matches('"').lines().next().unwrap_or(text);
-    if text.contains("decoder for this file") {
-        return Error::new("not a RAW file the decoder knows").with_hint(
-            "give a camera's RAW file or a DNG file; convert others to uncompressed DNG",
+fn decode_any(bytes: &[u8]) -> Result<RawFrame> {
+    if fits::is_fits(bytes) {
+        return fits::decode(bytes);
+    }
+    if bytes.starts_with(plain_png::SIGNATURE) {
+        return plain_png::decode(bytes);
+    }
+    refuse_by_name(bytes)?;
+    let Some(tiff) = Tiff::open(bytes) else {
+        return camera_raw::decode(bytes, None);
+    };
+    let directories = tiff.directories()?;
+    if bytes.get(8..10) == Some(b"CR") {
+        for directory in &directories {
+            tiff.check_whole(directory)?;
+        }
+    }
+    if directories.iter().any(|d| d.find(DNG_VERSION).is_some()) {
+        let facts = dng::inspect(&tiff, &directories)?;
+        let Some(mut frame) = facts.plain(bytes)? else {
+            return camera_raw::decode(bytes, Some(&facts));
+        };
+        ExifFields::read(bytes).fill(&mut frame);
+        return Ok(frame);
+    }
+    if plain_tiff::is_plain(&tiff, &directories) {
+        return plain_tiff::decode(&tiff, &directories);
+    }
+    camera_raw::decode(bytes, None)
+}
+
+const CONVERT: &str = "convert to uncompressed DNG";
+
+/// Refuses formats that are told by their first bytes and never read.
+fn refuse_by_name(bytes: &[u8]) -> Result<()> {
+    let bad = |what: &str, hint: &str| Err(Error::new(what).with_hint(hint));
+    if bytes.get(4..8) == Some(b"ftyp") {
+        return bad(
+            "a Canon CR3 or other ISO media file, which the decoder does not read",
+            CONVERT,
         );
     }
-    let hint = if text.contains("panic") {
-        "the file is damaged or of an unknown kind; copy it again or convert to uncompressed DNG"
-    } else {
-        "convert to uncompressed DNG"
-    };
-    Error::new(format!("the decoder says: {text}")).with_hint(hint)
+    if bytes.starts_with(b"\xff\xd8\xff") {
+        return bad(
+            "a JPEG image: its values are neither linear nor complete",
+            "store the camera's RAW files",
+        );
+    }
+    if bytes.starts_with(b"II\x2b\0") || bytes.starts_with(b"MM\0\x2b") {
+        return bad("a BigTIFF file, which is not read", "write classic TIFF");
+    }
+    Ok(())
 }
 
-/// Color filters and black levels of the visible area.
-///
-/// The decoder's four black levels mean different things: by color (red, green, blue, fourth) for most cameras, by place
-/// in the 2x2 block for DNG (fractions cut off; the file's own values are used instead), and red, green of the red rows,
-/// green of the blue rows, blue for Pentax and Olympus files.
-fn mosaic(image: &rawloader::RawImage, container: Container) -> Result<(CfaPattern, [f64; 4])> {
-    let pattern = |channels: [usize; 4], name: &str| {
-        CfaPattern::from_channels(channels).ok_or_else(|| {
-            Error::new(format!(
-                "color filter array '{name}', expected a 2 x 2 pattern of red, green and blue"
-            ))
-            .with_hint("only Bayer cameras are measured")
-        })
-    };
-    if let Container::Dng(facts) = container {
-        // Adobe DNG 1.4: both patterns begin at the active area's top left corner, which is the visible one.
-        return Ok((
-            pattern(facts.cfa, &format!("{:?}", facts.cfa))?,
-            facts.black,
-        ));
+/// Columns and rows inside the margins (top, right, bottom, left).
+fn visible_size([width, height]: [usize; 2], margins: [usize; 4]) -> Result<[usize; 2]> {
+    let [top, right, bottom, left] = margins;
+    let inside = |whole: usize, a: usize, b: usize| whole.checked_sub(a + b).filter(|&n| n > 0);
+    match (inside(width, left, right), inside(height, top, bottom)) {
+        (Some(width), Some(height)) => Ok([width, height]),
+        _ => Err(Error::new(format!(
+            "the margins {margins:?} leave nothing of {width} x {height} pixels"
+        ))),
     }
-    if (image.cfa.width, image.cfa.height) != (2, 2) {
-        return Err(Error::new(format!(
-            "color filter array '{}', expected a 2 x 2 pattern of red, green and blue",
-            image.cfa
-        ))
-        .with_hint("only Bayer cameras are measured"));
-    }
-    let shifted = image.cropped_cfa();
-    let places = [(0, 0), (0, 1), (1, 0), (1, 1)];
-    let channels = places.map(|(row, column)| shifted.color_at(row, column));
-    let cfa = pattern(channels, &shifted.name)?;
-    let levels = image.blacklevels.map(f64::from);
-    let by_rows = ["PENTAX", "RICOH", "OLYMPUS"];
-    let make = image.make.to_uppercase();
-    let four_places = levels[3] > 0.0 && by_rows.iter().any(|m| make.starts_with(m));
-    let black = places.map(|(row, column)| {
-        let color = cfa.channel(row, column);
-        let in_red_row = cfa.channel(row, column + 1) == 0;
-        match (four_places, color) {
-            (true, 1) => levels[if in_red_row { 1 } else { 2 }],
-            (true, 2) => levels[3],
-            _ => levels[color],
-        }
-    });
-    Ok((cfa, black))
 }
 
-/// What EXIF says; fields it lacks stay empty.
-#[derive(Default)]
-struct Exif {
-    exposure_ms: Option<f64>,
-    aperture: Option<f64>,
-    iso: Option<u32>,
-    date_time: Option<String>,
+/// The mosaic with these channels.
+fn bayer(channels: [usize; 4], name: &str) -> Result<Layout> {
+    let pattern = CfaPattern::from_channels(channels);
+    pattern.map(Layout::Bayer).ok_or_else(|| no_bayer(name))
 }
 
-impl Exif {
-    fn read(bytes: &[u8]) -> Self {
-        let mut reader = exif::Reader::new();
-        reader.continue_on_error(true);
-        let read = reader
-            .read_from_container(&mut std::io::Cursor::new(bytes))
-            .or_else(|e| e.distill_partial_result(|_| ()));
-        let Ok(exif) = read else {
-            return Self::default();
-        };
-        let field = |tag| exif.get_field(tag, exif::In::PRIMARY).map(|f| &f.value);
-        let exposure = match field(exif::Tag::ExposureTime) {
-            Some(exif::Value::Rational(v)) => v.first().map(|r| r.to_f64() * 1000.0),
-            _ => None,
-        };
-        let aperture = match field(exif::Tag::FNumber) {
-            Some(exif::Value::Rational(v)) => v.first().map(exif::Rational::to_f64),
-            _ => None,
-        };
-        let date_time = match field(exif::Tag::DateTimeOriginal) {
-            Some(exif::Value::Ascii(v)) => v
-                .first()
-                .map(|text| String::from_utf8_lossy(text).into_owned()),
-            _ => None,
-        };
-        Self {
-            exposure_ms: exposure.filter(|ms| *ms > 0.0 && ms.is_finite()),
-            aperture: aperture.filter(|f| *f > 0.0 && f.is_finite()),
-            iso: field(exif::Tag::PhotographicSensitivity).and_then(|v| v.get_uint(0)),
-            date_time,
-        }
+fn no_bayer(name: &str) -> Error {
+    Error::new(format!(
+        "color filter array '{name}', expected a 2 x 2 pattern of red, green and blue"
+    ))
+    .with_hint("of mosaics only Bayer's are measured")
+}
+
+/// Checks the size a file states before memory is asked for: packed at most `ratio` times smaller it must fit the file.
+fn check_size(size: [usize; 2], values_per_pixel: usize, bytes: &[u8], ratio: usize) -> Result<()> {
+    let [width, height] = size;
+    let needed = width.checked_mul(height);
+    let needed = needed.and_then(|n| n.checked_mul(2 * values_per_pixel));
+    match needed {
+        Some(0) => Err(Error::new(format!("an image of {width} x {height} pixels"))),
+        Some(needed) if needed / ratio <= bytes.len() => Ok(()),
+        _ => Err(tiff_structure::torn(&format!(
+            "its image: {} bytes cannot hold {width} x {height} pixels",
+            bytes.len()
+        ))),
     }
+}
+
+fn srgb(whose: &str) -> Error {
+    Error::new(format!(
+        "sRGB-encoded values are not linear (so says {whose})"
+    ))
+    .with_hint("export linear 16-bit values, or the camera's RAW files")
 }

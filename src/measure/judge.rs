@@ -3,13 +3,13 @@
 use super::{RawFrame, decode};
 use crate::base::{Context, Error, Result};
 use crate::session::{
-    CameraFacts, CfaPattern, Configuration, Coverage, Exposedness, FrameKind, Projection,
+    CameraFacts, Configuration, Coverage, Exposedness, FrameKind, Layout, Projection,
 };
 
 /// Judges frames of one camera over the image of the sample square.
 ///
 /// *Peak* is the brightest pixel of the square's image and of a margin of one pixel around it, where a pixel counts as
-/// bright as its brightest neighbor of the same color at most. A hot pixel stands alone and so does not count; a real
+/// bright as its brightest neighbor of the same color at most (in a mosaic within two pixels, else within one). A hot pixel stands alone and so does not count; a real
 /// highlight counts in full as soon as it lights two neighboring pixels of one color. A glint on a single pixel of a color
 /// is taken for a hot pixel: measuring, which knows the hot pixels from the darks, may still leave such an exposure out.
 /// A peak of 0.92 or more is more than measuring uses (92 % of the white level, black included).
@@ -17,7 +17,7 @@ use crate::session::{
 /// A 12-bit DNG of 1200 x 900 pixels takes 4 ms to decode and 14 to 26 ms in all, the crop's outline included.
 ///
 /// *Mean* is weighted by the covered area. Black is subtracted as the file states it. A color without a pixel in the crop
-/// has peak and mean 0.
+/// has peak and mean 0; the one value of a monochrome camera counts for all three.
 #[derive(Debug)]
 pub struct FrameJudge {
     facts: CameraFacts,
@@ -71,15 +71,6 @@ impl FrameJudge {
                 "set the camera to its full RAW size, or mend camera.size_px in the rig file",
             ));
         }
-        if !frame.black.iter().all(|&b| b < f64::from(frame.white)) {
-            return Err(Error::new(format!(
-                "{} states black levels {:?} that are not below its white level {}",
-                name(),
-                frame.black,
-                frame.white
-            ))
-            .with_hint("convert to uncompressed DNG"));
-        }
         let coverage = self.coverage(pose)?;
         Ok(Some(exposedness(&frame, coverage)))
     }
@@ -97,16 +88,12 @@ impl FrameJudge {
 }
 
 fn exposedness(frame: &RawFrame, coverage: &Coverage) -> Exposedness {
-    let scaled = |value: f64, place: usize| {
-        let black = frame.black[place];
-        (value - black) / (f64::from(frame.white) - black)
-    };
     let (mut sum, mut area) = ([0.0; 3], [0.0; 3]);
     for (x, y, weight) in coverage.pixels() {
-        let channel = frame.cfa().channel(y, x);
-        let value = f64::from(frame.data[y * frame.width + x]);
-        sum[channel] += weight * scaled(value, CfaPattern::position(y, x));
-        area[channel] += weight;
+        for (channel, index) in frame.values_at(x, y) {
+            sum[channel] += weight * frame.fraction(frame.data[index], index);
+            area[channel] += weight;
+        }
     }
     let mut peak = [f64::NEG_INFINITY; 3];
     for row in &coverage.rows {
@@ -114,30 +101,37 @@ fn exposedness(frame: &RawFrame, coverage: &Coverage) -> Exposedness {
         let right = (row.x + row.weights.len() + 1).min(frame.width);
         for y in top..bottom {
             for x in row.x.saturating_sub(1)..right {
-                let (channel, place) = (frame.cfa().channel(y, x), CfaPattern::position(y, x));
-                let value = frame.data[y * frame.width + x];
-                if scaled(f64::from(value), place) > peak[channel] {
-                    let value = value.min(brightest_neighbor(frame, x, y));
-                    peak[channel] = peak[channel].max(scaled(f64::from(value), place));
+                for (channel, index) in frame.values_at(x, y) {
+                    let value = frame.data[index];
+                    if frame.fraction(value, index) > peak[channel] {
+                        let value = value.min(brightest_neighbor(frame, channel, x, y));
+                        peak[channel] = peak[channel].max(frame.fraction(value, index));
+                    }
                 }
             }
         }
     }
+    let peak = peak.map(|p| if p.is_finite() { p } else { 0.0 });
+    let mean = [0, 1, 2].map(|c| if area[c] > 0.0 { sum[c] / area[c] } else { 0.0 });
+    // The one value of a pixel without filters stands for all channels.
+    let channel = |c: usize| if frame.layout == Layout::Mono { 0 } else { c };
     Exposedness {
-        peak: peak.map(|p| if p.is_finite() { p } else { 0.0 }),
-        mean: [0, 1, 2].map(|c| if area[c] > 0.0 { sum[c] / area[c] } else { 0.0 }),
+        peak: [0, 1, 2].map(|c| peak[channel(c)]),
+        mean: [0, 1, 2].map(|c| mean[channel(c)]),
     }
 }
 
-/// The largest raw value of the same color within two pixels in x and y.
-fn brightest_neighbor(frame: &RawFrame, x: usize, y: usize) -> u16 {
-    let channel = frame.cfa().channel(y, x);
-    let rows = y.saturating_sub(2)..(y + 3).min(frame.height);
-    let columns = x.saturating_sub(2)..(x + 3).min(frame.width);
+/// The largest raw value of the same color near by: in a mosaic within two pixels in x and y, else within one.
+fn brightest_neighbor(frame: &RawFrame, channel: usize, x: usize, y: usize) -> u16 {
+    let reach = if frame.layout.cfa().is_some() { 2 } else { 1 };
+    let rows = y.saturating_sub(reach)..(y + reach + 1).min(frame.height);
+    let columns = x.saturating_sub(reach)..(x + reach + 1).min(frame.width);
     let around = rows.flat_map(|j| columns.clone().map(move |i| (i, j)));
     around
-        .filter(|&(i, j)| (i, j) != (x, y) && frame.cfa().channel(j, i) == channel)
-        .map(|(i, j)| frame.data[j * frame.width + i])
+        .filter(|&pixel| pixel != (x, y))
+        .flat_map(|(i, j)| frame.values_at(i, j))
+        .filter(|(own, _)| *own == channel)
+        .map(|(_, index)| frame.data[index])
         .max()
         .unwrap_or(0)
 }

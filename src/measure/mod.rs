@@ -5,7 +5,6 @@
 
 pub mod calibration;
 pub mod checks;
-mod container;
 mod crop;
 mod dark;
 mod decode;
@@ -14,7 +13,6 @@ mod judge;
 mod lamp;
 mod noise;
 mod picture;
-mod raw_claims;
 mod report;
 mod run;
 mod stack;

@@ -2,7 +2,7 @@
 
 use super::RawFrame;
 use crate::base::{Error, Result};
-use crate::session::CfaPattern;
+use crate::session::Layout;
 use serde::Serialize;
 
 /// A box of pixels of the visible area.
@@ -18,10 +18,11 @@ pub struct Crop {
     pub height: usize,
 }
 
-/// Raw values of one channel of the color filter array; black not subtracted.
+/// Raw values of one channel; black not subtracted.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChannelStatistics {
-    /// `R`, `G1` (the greens of even rows of the visible area), `G2` (of odd rows) or `B`.
+    /// Of a mosaic `R`, `G1` (the greens of even rows of the visible area), `G2` (of odd rows) or `B`; `Y` without filters;
+    /// `R`, `G` or `B` with three values per pixel.
     pub channel: &'static str,
     /// Mean raw value.
     pub mean: f64,
@@ -37,19 +38,19 @@ pub struct ChannelStatistics {
     pub black: f64,
 }
 
-/// Statistics of a crop, channels in the order R, G1, G2, B.
+/// Statistics of a crop; channels in the order R, G1, G2, B, or Y, or R, G, B.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameStatistics {
     /// The crop, in visible-area coordinates.
     pub crop: Crop,
-    /// The four channels.
+    /// The channels of the frame's layout.
     pub channels: Vec<ChannelStatistics>,
 }
 
-/// Means, extremes and clipped pixels of a crop, per channel of the color filter array.
+/// Means, extremes and clipped pixels of a crop, per channel.
 ///
 /// # Errors
-/// When the crop leaves the visible area, is empty, or misses a channel (less than 2 x 2 pixels).
+/// When the crop leaves the visible area, or has less than 2 x 2 pixels (and so might miss a channel).
 pub fn frame_statistics(frame: &RawFrame, crop: Crop) -> Result<FrameStatistics> {
     let inside = |start: usize, size: usize, whole: usize| {
         size >= 2 && start.checked_add(size).is_some_and(|end| end <= whole)
@@ -64,10 +65,12 @@ pub fn frame_statistics(frame: &RawFrame, crop: Crop) -> Result<FrameStatistics>
         ));
     }
     let mut places = [(0u64, u16::MAX, 0u16, 0usize, 0usize); 4];
+    let values = frame.layout.values_per_pixel();
     for y in crop.y..crop.y + crop.height {
-        let row = &frame.data[y * frame.width..(y + 1) * frame.width];
-        for (x, &value) in row.iter().enumerate().skip(crop.x).take(crop.width) {
-            let place = &mut places[CfaPattern::position(y, x)];
+        let start = values * (y * frame.width + crop.x);
+        let row = frame.data[start..start + values * crop.width].iter();
+        for (index, &value) in (start..).zip(row) {
+            let place = &mut places[frame.layout.place(frame.width, index)];
             place.0 += u64::from(value);
             place.1 = place.1.min(value);
             place.2 = place.2.max(value);
@@ -75,11 +78,9 @@ pub fn frame_statistics(frame: &RawFrame, crop: Crop) -> Result<FrameStatistics>
             place.4 += 1;
         }
     }
-    let names = names(frame.cfa());
-    let channels = ["R", "G1", "G2", "B"].into_iter().filter_map(|channel| {
-        let at = names.iter().position(|&n| n == channel)?;
+    let channels = channels(frame.layout).into_iter().map(|(channel, at)| {
         let (sum, min, max, clipped, pixels) = places[at];
-        Some(ChannelStatistics {
+        ChannelStatistics {
             channel,
             mean: sum as f64 / pixels as f64,
             min,
@@ -87,7 +88,7 @@ pub fn frame_statistics(frame: &RawFrame, crop: Crop) -> Result<FrameStatistics>
             clipped,
             pixels,
             black: frame.black[at],
-        })
+        }
     });
     Ok(FrameStatistics {
         crop,
@@ -95,13 +96,20 @@ pub fn frame_statistics(frame: &RawFrame, crop: Crop) -> Result<FrameStatistics>
     })
 }
 
-/// The channel names of the 2x2 block, row by row.
-fn names(cfa: CfaPattern) -> [&'static str; 4] {
-    let channels = cfa.channels();
-    [0, 1, 2, 3].map(|place| match (channels[place], place / 2) {
+/// Names of the channels, and which place of the layout each is.
+fn channels(layout: Layout) -> Vec<(&'static str, usize)> {
+    let cfa = match layout {
+        Layout::Mono => return vec![("Y", 0)],
+        Layout::Rgb => return vec![("R", 0), ("G", 1), ("B", 2)],
+        Layout::Bayer(cfa) => cfa,
+    };
+    let name = |place: usize| match (cfa.channels()[place], place / 2) {
         (0, _) => "R",
         (2, _) => "B",
         (_, 0) => "G1",
         _ => "G2",
-    })
+    };
+    let mut named: Vec<_> = (0..4).map(|place| (name(place), place)).collect();
+    named.sort_by_key(|(name, _)| ["R", "G1", "G2", "B"].iter().position(|n| n == name));
+    named
 }

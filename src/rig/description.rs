@@ -3,9 +3,10 @@
 //! docs/rig.md explains every key; docs/conventions.md every sign.
 
 use super::bodies::Clearance;
+use super::shots::white_id;
 use crate::base::{Context, Result};
 use crate::math::PolarDirection;
-use crate::session::{Configuration, files};
+use crate::session::{Configuration, Plan, WhiteReference, files};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -331,6 +332,15 @@ impl White {
             light: PolarDirection::from_degrees(self.light_theta_deg, self.light_phi_deg),
             camera: PolarDirection::from_degrees(self.camera_theta_deg, self.camera_phi_deg),
             rotation: self.rotation_deg.to_radians(),
+        }
+    }
+
+    /// What a session with this plan says of it.
+    pub fn reference(&self, plan: &Plan) -> WhiteReference {
+        WhiteReference {
+            configuration: self.configuration(white_id(plan)),
+            reflectance_factor: self.reflectance_factor,
+            reflectance_factor_se: self.reflectance_factor_se,
         }
     }
 }

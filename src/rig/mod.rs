@@ -77,6 +77,7 @@ pub use stop::{Stopped, stop_all};
 pub use tour::{EXACT_UP_TO, Tour, tour};
 pub use transport::{Clock, SystemClock, Transport, VirtualClock};
 pub use travel::ControllerLimits;
+pub use utc::utc_now;
 pub use wire_log::{
     RecordingTransport, Way, WireEntry, WireLog, parse_wire_log, read_wire_log, show_bytes,
 };

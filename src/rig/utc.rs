@@ -1,7 +1,7 @@
 //! The time of day, for the record only.
 
 /// UTC now, RFC 3339 with seconds.
-pub(super) fn utc_now() -> String {
+pub fn utc_now() -> String {
     let seconds = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)
         .map_or(0, |d| d.as_secs());

@@ -4,6 +4,7 @@
 //! are a function of the arguments alone. It does not compress, makes no thumbnail, and the color matrix it states is
 //! nominal (sRGB primaries), there only because readers demand one: measuring never uses it.
 
+use super::tiff_directory::{Described, Directory, check_image, exif_directory, file, tag};
 use crate::base::{Error, Result};
 
 /// The color filter array: the channels of the 2x2 block at the image's top left corner, row by row.
@@ -130,78 +131,34 @@ pub fn write_dng(image: &DngImage<'_>) -> Result<Vec<u8>> {
         BitDepth::Sixteen => image.width,
     };
     let strip = pack(image, stored_width);
-    let mut main = main_directory(image, stored_width, strip.len());
-    let mut exif = exif_directory(image)?;
+    let main = main_directory(image, stored_width, strip.len());
+    let exif = exif_directory(image.exposure_ms, image.iso, image.date_time)?;
 
-    // Layout: header, main directory, its long values, EXIF directory, its long values, strip.
-    let exif_at = HEADER + main.size();
-    let strip_at = (exif_at + exif.size()).next_multiple_of(16);
-    main.set_long(tag::EXIF_IFD, exif_at);
-    main.set_long(tag::STRIP_OFFSETS, strip_at);
-    let mut bytes = Vec::with_capacity(strip_at + strip.len());
-    bytes.extend_from_slice(b"II");
-    bytes.extend_from_slice(&42u16.to_le_bytes());
-    bytes.extend_from_slice(&(HEADER as u32).to_le_bytes());
-    main.write(&mut bytes);
-    exif.write(&mut bytes);
-    bytes.resize(strip_at, 0);
-    bytes.extend_from_slice(&strip);
-    Ok(bytes)
+    Ok(file(main, &exif, &strip))
 }
 
 fn check(image: &DngImage<'_>) -> Result<()> {
-    let bad = |what: String| Err(Error::new(format!("DNG cannot be written: {what}")));
-    let (width, height) = (image.width, image.height);
-    if !(1..=60000).contains(&width) || !(1..=60000).contains(&height) {
-        return bad(format!(
-            "size {width} x {height}, expected 1 to 60000 pixels each way"
-        ));
-    }
-    if image.data.len() != width * height {
-        return bad(format!(
-            "{} raw values for {width} x {height} pixels, expected {}",
-            image.data.len(),
-            width * height
-        ));
-    }
-    let largest = image.bits.largest();
-    if let Some(at) = image.data.iter().position(|&v| v > largest) {
-        return bad(format!(
-            "raw value {} at column {}, row {} is above {largest}",
-            image.data[at],
-            at % width,
-            at / width
-        ));
-    }
-    if image.white == 0 || image.white > largest {
-        return bad(format!(
-            "white level {}, expected 1 to {largest}",
-            image.white
-        ));
-    }
-    if let Some(black) = image
+    check_image(&Described {
+        kind: "DNG",
+        size: [image.width, image.height],
+        values_per_pixel: 1,
+        data: image.data,
+        largest: image.bits.largest(),
+        white: image.white,
+        texts: &[image.make, image.model, image.date_time.unwrap_or("-")],
+        exposure_ms: image.exposure_ms,
+    })?;
+    match image
         .black
         .iter()
         .find(|&b| !(0.0..f64::from(image.white)).contains(b))
     {
-        return bad(format!(
-            "black level {black}, expected 0 up to the white level {}",
+        None => Ok(()),
+        Some(black) => Err(Error::new(format!(
+            "DNG cannot be written: black level {black}, expected 0 up to the white level {}",
             image.white
-        ));
+        ))),
     }
-    for text in [image.make, image.model, image.date_time.unwrap_or("-")] {
-        if text.is_empty() || !text.bytes().all(|b| (0x20..0x7f).contains(&b)) {
-            return bad(format!("text '{text}' is not printable ASCII"));
-        }
-    }
-    if let Some(ms) = image.exposure_ms
-        && !(1e-6..4e9).contains(&ms)
-    {
-        return bad(format!(
-            "exposure {ms} ms, expected 1e-6 to 4e9 milliseconds"
-        ));
-    }
-    Ok(())
 }
 
 /// The samples as they lie in the file; `stored_width >= width`, further columns repeat the last one.
@@ -223,14 +180,6 @@ fn pack(image: &DngImage<'_>, stored_width: usize) -> Vec<u8> {
     );
     strip
 }
-
-mod tag {
-    pub(super) const EXIF_IFD: u16 = 34665;
-    pub(super) const STRIP_OFFSETS: u16 = 273;
-}
-
-/// Where the main directory begins.
-const HEADER: usize = 8;
 
 fn main_directory(image: &DngImage<'_>, stored_width: usize, strip_bytes: usize) -> Directory {
     let (width, height) = (image.width as u32, image.height as u32);
@@ -277,124 +226,6 @@ fn main_directory(image: &DngImage<'_>, stored_width: usize, strip_bytes: usize)
     d.shorts(50778, &[21]); // CalibrationIlluminant1: D65
     d.longs(50829, &[0, 0, height, width]); // ActiveArea: top, left, bottom, right
     d
-}
-
-fn exif_directory(image: &DngImage<'_>) -> Result<Directory> {
-    let mut d = Directory::default();
-    if let Some(ms) = image.exposure_ms {
-        d.rationals(33434, &[seconds_rational(ms)?]);
-    }
-    if let Some(iso) = image.iso {
-        d.shorts(34855, &[iso]);
-    }
-    d.undefined(36864, b"0232"); // ExifVersion
-    if let Some(text) = image.date_time {
-        d.ascii(36867, text); // DateTimeOriginal
-    }
-    Ok(d)
-}
-
-/// Milliseconds as a fraction of seconds, with the finest decimal denominator that fits.
-fn seconds_rational(ms: f64) -> Result<[u32; 2]> {
-    let seconds = ms / 1000.0;
-    (0..=9)
-        .rev()
-        .map(|digits| 10u32.pow(digits))
-        .find(|&d| seconds * f64::from(d) < f64::from(u32::MAX))
-        .map(|d| [(seconds * f64::from(d)).round() as u32, d])
-        .ok_or_else(|| Error::new(format!("exposure {ms} ms does not fit an EXIF fraction")))
-}
-
-/// A TIFF image file directory under construction; tags must be added in ascending order.
-#[derive(Default)]
-struct Directory {
-    /// Tag, TIFF type, count, value bytes.
-    entries: Vec<(u16, u16, u32, Vec<u8>)>,
-}
-
-impl Directory {
-    fn add(&mut self, tag: u16, kind: u16, count: usize, value: Vec<u8>) {
-        debug_assert!(self.entries.last().is_none_or(|e| e.0 < tag));
-        self.entries.push((tag, kind, count as u32, value));
-    }
-
-    fn bytes(&mut self, tag: u16, values: &[u8]) {
-        self.add(tag, 1, values.len(), values.to_vec());
-    }
-
-    fn ascii(&mut self, tag: u16, text: &str) {
-        let mut value = text.as_bytes().to_vec();
-        value.push(0);
-        self.add(tag, 2, value.len(), value);
-    }
-
-    fn shorts(&mut self, tag: u16, values: &[u16]) {
-        let value = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        self.add(tag, 3, values.len(), value);
-    }
-
-    fn longs(&mut self, tag: u16, values: &[u32]) {
-        let value = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        self.add(tag, 4, values.len(), value);
-    }
-
-    fn rationals(&mut self, tag: u16, values: &[[u32; 2]]) {
-        let value = values.iter().flatten().flat_map(|v| v.to_le_bytes());
-        self.add(tag, 5, values.len(), value.collect());
-    }
-
-    fn undefined(&mut self, tag: u16, values: &[u8]) {
-        self.add(tag, 7, values.len(), values.to_vec());
-    }
-
-    fn signed_rationals(&mut self, tag: u16, values: &[[i32; 2]]) {
-        let value = values.iter().flatten().flat_map(|v| v.to_le_bytes());
-        self.add(tag, 10, values.len(), value.collect());
-    }
-
-    /// Puts the value of a single-LONG entry that was added with a placeholder.
-    fn set_long(&mut self, tag: u16, value: usize) {
-        for entry in self.entries.iter_mut().filter(|e| e.0 == tag) {
-            entry.3 = (value as u32).to_le_bytes().to_vec();
-        }
-    }
-
-    fn table_size(&self) -> usize {
-        2 + 12 * self.entries.len() + 4
-    }
-
-    /// Bytes of the table and of the values that do not fit into it; even.
-    fn size(&self) -> usize {
-        let long_values = self.entries.iter().filter(|e| e.3.len() > 4);
-        self.table_size()
-            + long_values
-                .map(|e| e.3.len().next_multiple_of(2))
-                .sum::<usize>()
-    }
-
-    /// Appends table and values to the file written so far.
-    fn write(&mut self, file: &mut Vec<u8>) {
-        let start = file.len();
-        let mut values = Vec::new();
-        file.extend_from_slice(&(self.entries.len() as u16).to_le_bytes());
-        for (tag, kind, count, value) in &self.entries {
-            file.extend_from_slice(&tag.to_le_bytes());
-            file.extend_from_slice(&kind.to_le_bytes());
-            file.extend_from_slice(&count.to_le_bytes());
-            if value.len() <= 4 {
-                let mut inline = value.clone();
-                inline.resize(4, 0);
-                file.extend_from_slice(&inline);
-            } else {
-                let at = start + self.table_size() + values.len();
-                file.extend_from_slice(&(at as u32).to_le_bytes());
-                values.extend_from_slice(value);
-                values.resize(values.len().next_multiple_of(2), 0);
-            }
-        }
-        file.extend_from_slice(&0u32.to_le_bytes());
-        file.extend_from_slice(&values);
-    }
 }
 
 #[cfg(test)]

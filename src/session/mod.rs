@@ -14,15 +14,18 @@
 
 pub mod dng;
 pub mod files;
+pub mod frame_tiff;
 mod journal;
 mod layout;
 mod manifest;
 mod measurements;
 mod plan;
 mod projection;
+mod tiff_directory;
 
 pub use dng::{BitDepth, CfaPattern, DngImage, write_dng};
 pub use files::sha256;
+pub use frame_tiff::{TiffImage, write_tiff};
 pub use journal::{Entry, Event, Exposedness, FrameKind, FrameRecord, Journal, read_journal};
 pub use layout::{Filter, Layout};
 pub use manifest::{CameraFacts, Lens, Manifest, Provenance, SessionFolder, WhiteReference};

@@ -10,7 +10,7 @@ use goniofit::session::{
 use std::path::Path;
 
 /// Name, and what is done with the bytes.
-pub const READERS: [(&str, fn(&[u8])); 6] = [
+pub(crate) const READERS: [(&str, fn(&[u8])); 6] = [
     ("journal", journal),
     ("rig", rig),
     ("plan", plan),
@@ -39,7 +39,7 @@ fn write(path: &Path, bytes: &[u8]) {
 }
 
 /// A journal; what it tells a capture that goes on from it.
-pub fn journal(bytes: &[u8]) {
+pub(crate) fn journal(bytes: &[u8]) {
     in_folder(|folder| {
         let path = folder.join("journal.jsonl");
         write(&path, bytes);
@@ -70,7 +70,7 @@ pub fn journal(bytes: &[u8]) {
 }
 
 /// A rig file, and the dialogue log that lies beside its copy in a session.
-pub fn rig(bytes: &[u8]) {
+pub(crate) fn rig(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else {
         return;
     };
@@ -82,7 +82,7 @@ pub fn rig(bytes: &[u8]) {
 }
 
 /// A plan; what is accepted survives the round trip.
-pub fn plan(bytes: &[u8]) {
+pub(crate) fn plan(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else {
         return;
     };
@@ -94,7 +94,7 @@ pub fn plan(bytes: &[u8]) {
 }
 
 /// Calibration files: the first byte says of which kind. A flat field is followed by its map: everything after a zero byte.
-pub fn calibration(bytes: &[u8]) {
+pub(crate) fn calibration(bytes: &[u8]) {
     const KINDS: [&str; 7] = [
         "dark",
         "linearity",
@@ -128,7 +128,7 @@ pub fn calibration(bytes: &[u8]) {
 }
 
 /// Measurements, and the manifest of their session: a first byte `{` means a manifest.
-pub fn measurements(bytes: &[u8]) {
+pub(crate) fn measurements(bytes: &[u8]) {
     if bytes.first() == Some(&b'{') {
         in_folder(|folder| {
             write(&folder.join("session.json"), bytes);
@@ -147,7 +147,7 @@ pub fn measurements(bytes: &[u8]) {
 }
 
 /// A frame of any kind.
-pub fn frame(bytes: &[u8]) {
+pub(crate) fn frame(bytes: &[u8]) {
     if let Ok(frame) = goniofit::measure::decode(bytes) {
         let values = frame.width * frame.height * frame.layout.values_per_pixel();
         assert_eq!(frame.data.len(), values);

@@ -3,7 +3,7 @@
 use crate::base::{Error, Result};
 use crate::measure::{RawFrame, decode_file};
 use crate::report::preview::png;
-use crate::session::{CfaPattern, files};
+use crate::session::{Layout, files};
 use std::path::Path;
 
 /// The longest side of the picture, pixels.
@@ -16,7 +16,7 @@ pub(super) fn write(frame: &Path, out: &Path) -> Result<()> {
     files::write_atomic(out, &png(width as u32, height as u32, &linear)?)
 }
 
-/// Means over whole 2x2 blocks of the mosaic, as many blocks per pixel as it takes; 0 = black level, 1 = white level.
+/// Means over whole blocks of 2x2 pixels (a mosaic's), as many blocks per pixel as it takes; 0 = black level, 1 = white level.
 fn reduced(raw: &RawFrame, longest: usize) -> Result<(usize, usize, Vec<[f64; 3]>)> {
     let blocks = [raw.width / 2, raw.height / 2];
     let step = blocks[0].max(blocks[1]).div_ceil(longest).max(1);
@@ -43,14 +43,15 @@ fn mean(raw: &RawFrame, left: usize, top: usize, side: usize) -> [f64; 3] {
     let mut counts = [0.0; 3];
     for row in top..top + side {
         for column in left..left + side {
-            let channel = raw.cfa().channel(row, column);
-            let black = raw.black[CfaPattern::position(row, column)];
-            let value = f64::from(raw.data[row * raw.width + column]);
-            sums[channel] += (value - black) / (f64::from(raw.white) - black).max(1.0);
-            counts[channel] += 1.0;
+            for (channel, index) in raw.values_at(column, row) {
+                sums[channel] += raw.fraction(raw.data[index], index);
+                counts[channel] += 1.0;
+            }
         }
     }
+    let gray = raw.layout == Layout::Mono;
     [0, 1, 2].map(|c| {
+        let c = if gray { 0 } else { c };
         if counts[c] > 0.0 {
             sums[c] / counts[c]
         } else {
@@ -62,6 +63,7 @@ fn mean(raw: &RawFrame, left: usize, top: usize, side: usize) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session::CfaPattern;
 
     #[test]
     fn a_frame_is_reduced_to_means_of_whole_blocks() {
@@ -82,7 +84,7 @@ mod tests {
             width,
             height,
             margins: [0; 4],
-            layout: crate::session::Layout::Bayer(cfa),
+            layout: Layout::Bayer(cfa),
             aperture: None,
             black: [100.0; 4],
             white: 1100,
@@ -101,6 +103,36 @@ mod tests {
                 .iter()
                 .all(|p| (p[1] - 1.0).abs() < 1e-12 && p[2].abs() < 1e-12)
         );
+    }
+
+    #[test]
+    fn frames_without_a_mosaic_are_reduced_too() {
+        for (layout, wanted) in [(Layout::Mono, [0.5; 3]), (Layout::Rgb, [0.5, 0.25, 0.0])] {
+            let pixel: &[u16] = match layout {
+                Layout::Rgb => &[600, 350, 100],
+                _ => &[600],
+            };
+            let raw = RawFrame {
+                make: String::new(),
+                model: String::new(),
+                width: 8,
+                height: 6,
+                margins: [0; 4],
+                layout,
+                aperture: None,
+                black: [100.0; 4],
+                white: 1100,
+                data: pixel.repeat(48),
+                exposure_ms: None,
+                iso: None,
+                date_time: None,
+            };
+            let (width, height, linear) = reduced(&raw, 400).unwrap();
+            assert_eq!((width, height), (4, 3));
+            for found in linear.iter().flatten().zip(wanted.iter().cycle()) {
+                assert!((found.0 - found.1).abs() < 1e-12, "{layout}: {linear:?}");
+            }
+        }
     }
 
     #[test]

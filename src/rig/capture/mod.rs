@@ -27,7 +27,7 @@ use super::shots::History;
 use super::utc::utc_now;
 use super::wire_log::{RecordingTransport, WireLog};
 use crate::base::{Context, Error, Result};
-use crate::session::{Event, Journal, Manifest, Plan, Provenance, SessionFolder, WhiteReference};
+use crate::session::{Event, Journal, Manifest, Plan, Provenance, SessionFolder};
 use std::path::Path;
 use std::sync::Arc;
 use work::Loop;
@@ -112,7 +112,7 @@ impl Capture<'_> {
     pub fn resume(self, root: &Path) -> Result<Summary> {
         let manifest = SessionFolder::open(root)?.manifest()?;
         let recorded = &manifest.provenance.config_sha256;
-        if *recorded != config_sha256(self.description, self.plan)? {
+        if *recorded != config_sha256(&self.description.text, self.plan)? {
             return Err(Error::new(format!(
                 "{} was begun with another rig file or plan",
                 root.display()
@@ -200,7 +200,6 @@ impl Capture<'_> {
     }
 
     fn manifest(&self, rig: &Rig) -> Result<Manifest> {
-        let white = &self.description.white;
         Ok(Manifest {
             format: Manifest::FORMAT.to_owned(),
             program: format!("goniofit {}", env!("CARGO_PKG_VERSION")),
@@ -209,15 +208,11 @@ impl Capture<'_> {
             synthetic: self.options.synthetic,
             rig: self.description.name.clone(),
             camera: self.camera.facts(),
-            white: WhiteReference {
-                configuration: white.configuration(white_id(self.plan)),
-                reflectance_factor: white.reflectance_factor,
-                reflectance_factor_se: white.reflectance_factor_se,
-            },
+            white: self.description.white.reference(self.plan),
             sample_square_mm: self.description.camera.sample_square_mm,
             exposures_ms: self.description.camera.exposures_ms.clone(),
             provenance: Provenance {
-                config_sha256: config_sha256(self.description, self.plan)?,
+                config_sha256: config_sha256(&self.description.text, self.plan)?,
                 program_sha256: self.options.program_sha256.clone(),
                 firmware: rig.dump(),
                 camera_serial: self.camera.serial(),
@@ -228,10 +223,11 @@ impl Capture<'_> {
 }
 
 /// What makes two captures the same work: the texts of rig and plan.
-fn config_sha256(description: &RigDescription, plan: &Plan) -> Result<String> {
-    let mut text = description.text.clone();
-    text.push('\0');
-    text.push_str(&plan.to_toml()?);
+///
+/// # Errors
+/// As [`Plan::to_toml`].
+pub fn config_sha256(rig_toml: &str, plan: &Plan) -> Result<String> {
+    let text = format!("{rig_toml}\0{}", plan.to_toml()?);
     Ok(crate::session::sha256(text.as_bytes()))
 }
 
