@@ -9,8 +9,11 @@ use goniofit::session::{
 };
 use std::path::Path;
 
-/// Name, and what is done with the bytes.
-pub(crate) const READERS: [(&str, fn(&[u8])); 6] = [
+/// Takes the bytes of a file.
+pub(crate) type Reader = fn(&[u8]);
+
+/// Each with the name of its target.
+pub(crate) const READERS: [(&str, Reader); 6] = [
     ("journal", journal),
     ("rig", rig),
     ("plan", plan),
