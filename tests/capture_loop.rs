@@ -370,6 +370,7 @@ struct Person {
     /// In a pause somebody presses this, and the emergency line fires.
     in_pause: Option<(SharedModel, Arc<VirtualClock>, Request)>,
     notes: Mutex<Vec<String>>,
+    questions: Mutex<Vec<String>>,
 }
 
 impl Person {
@@ -412,7 +413,8 @@ impl Operator for Person {
         }
         self.asking.lock().unwrap().unwrap_or(Request::Go)
     }
-    fn confirm(&self, _: &str) -> Result<()> {
+    fn confirm(&self, question: &str) -> Result<()> {
+        self.questions.lock().unwrap().push(question.to_owned());
         Ok(())
     }
     fn paused(&self) -> bool {
@@ -870,4 +872,145 @@ fn metering_without_anybody_who_looks_is_refused_before_anything_is_opened() {
     .unwrap_err()
     .report();
     assert!(error.contains("metering needs somebody"), "{error}");
+}
+
+// -- calibration targets ---------------------------------------------------------------------------------------------
+
+/// Each target is put in place once per run, its frames are of its kind, and a run that is killed while it writes the
+/// journal goes on where it was.
+#[test]
+fn a_board_in_the_samples_place_is_captured_killed_and_resumed() {
+    let rig = rig(
+        "exposures_ms = [32.0]",
+        "warm_up_s = 1.0\nreference_every = 2",
+    );
+    let mut plan = plan(4);
+    plan.shows = FrameKind::Board;
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("s");
+    let operator = Person::asking(4, Request::Abort, false);
+    let mut camera = camera(|_| 0.5);
+    let summary = Room::of(&rig)
+        .capture(&rig, &plan, &mut camera, &operator, &out)
+        .unwrap();
+    assert_eq!((summary.end, summary.frames), (End::Aborted, 4));
+    let board = "put the checkerboard in place";
+    assert_eq!(
+        *operator.questions.lock().unwrap(),
+        ["put the white standard in place", board]
+    );
+    // As a kill in the middle of the fourth frame's line leaves it.
+    let journal = std::fs::read_to_string(out.join("journal.jsonl")).unwrap();
+    let fourth = journal.rfind("\"event\":\"frame\"").unwrap();
+    std::fs::write(out.join("journal.jsonl"), &journal[..fourth + 40]).unwrap();
+
+    let mut other = plan.clone();
+    other.shows = FrameKind::Sample;
+    let wrong = Room::of(&rig).capture(&rig, &other, &mut camera, &Person::default(), &out);
+    let message = wrong.unwrap_err().report();
+    assert!(message.contains("another rig file or plan"), "{message}");
+
+    let operator = Person::default();
+    let summary = Room::of(&rig)
+        .capture(&rig, &plan, &mut camera, &operator, &out)
+        .unwrap();
+    assert!(summary.finished() && summary.badly_exposed.is_empty());
+    assert_eq!(*operator.questions.lock().unwrap(), [board]);
+    use FrameKind::{Board as B, Dark as D, Reference as R, White as W};
+    let frames = frames(&out);
+    let kinds: Vec<FrameKind> = frames.iter().map(|f| f.kind).collect();
+    assert_eq!(kinds, [W, R, B, R, B, B, R, B, R, D]);
+    let boards = || frames.iter().filter(|f| f.kind == B);
+    let mut ids: Vec<Option<u32>> = boards().map(|f| f.config).collect();
+    ids.sort_unstable();
+    assert_eq!(ids, [1, 2, 3, 4].map(Some));
+    assert!(boards().all(|f| f.exposed.is_some() && f.file.contains("_board_c0")));
+    assert_eq!(SessionFolder::open(&out).unwrap().plan().unwrap(), plan);
+}
+
+/// Linearity: a list of exposures and repeats that the rig file does not have, in the session's own rig file afterwards.
+#[test]
+fn exposures_and_repeats_can_be_given_for_one_session() {
+    let metered = rig(
+        "exposures_ms = [32.0, 64.0]\nmetering = \"metered\"\nmax_exposure_ms = 100.0",
+        "warm_up_s = 1.0",
+    );
+    let exposures = [1.0, 4.0, 16.0, 128.0];
+    let rig = metered.with_exposures(Some(&exposures), Some(2)).unwrap();
+    let mut plan = plan(1);
+    plan.shows = FrameKind::Flat;
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("s");
+    let summary = Room::of(&rig)
+        .capture(
+            &rig,
+            &plan,
+            &mut camera(|_| 0.5),
+            &Unattended(&Unwatched),
+            &out,
+        )
+        .unwrap();
+    assert!(summary.finished());
+    let frames = frames(&out);
+    for kind in [FrameKind::Flat, FrameKind::White, FrameKind::Dark] {
+        let mut taken: Vec<f64> = frames
+            .iter()
+            .filter(|f| f.kind == kind)
+            .map(|f| f.asked_ms())
+            .collect();
+        taken.sort_by(f64::total_cmp);
+        assert_eq!(
+            taken,
+            exposures.iter().flat_map(|e| [*e, *e]).collect::<Vec<_>>()
+        );
+    }
+    let kept = RigDescription::read(&out.join("rig.toml")).unwrap();
+    assert_eq!(kept, rig);
+    assert_eq!(kept.axes, metered.axes);
+    let message = |list: &[f64]| {
+        metered
+            .with_exposures(Some(list), None)
+            .unwrap_err()
+            .report()
+    };
+    assert!(message(&[4.0, 1.0]).contains("ascending"));
+    assert!(message(&[]).contains("at least one"));
+    assert!(message(&[f64::NAN]).contains("exposure"));
+}
+
+#[test]
+fn the_plans_of_calibrations_fit_the_rigs_and_say_what_they_show() {
+    for (plan, shows, more) in [
+        ("board", "board", &[][..]),
+        ("flat", "flat", &["--exposures-ms", "20", "--repeats", "16"]),
+        (
+            "linearity",
+            "flat",
+            &["--exposures-ms", "1,2,4,8,16,32", "--repeats", "2"],
+        ),
+    ] {
+        let output = assert_cmd::Command::cargo_bin("goniofit")
+            .unwrap()
+            .current_dir(root())
+            .args(["capture", "--rig", "rig_configs/five_axis_grblhal.toml"])
+            .args(["--plan", &format!("rig_configs/plans/{plan}.toml")])
+            .args(["--dry-run"])
+            .args(more)
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success(), "{output:?}");
+        assert!(
+            text.contains(&format!("# in the sample's place: {shows}")),
+            "{text}"
+        );
+        let line = text.lines().find(|l| l.starts_with(shows)).unwrap();
+        let frames: Vec<&str> = line.split_whitespace().collect();
+        let expected = match plan {
+            "flat" => "16",
+            "linearity" => "12",
+            _ => "2",
+        };
+        assert_eq!(frames[2], expected, "{text}");
+    }
 }

@@ -65,7 +65,7 @@ impl Cloth {
         };
         let number = if over { u.floor() } else { 1e4 + v.floor() };
         let own = hashed(number, 77.0 + self.seed as f64) - 0.5;
-        1.0 + self.contrast * ((TAU * across).cos() * -1.0 + 0.3 * own)
+        1.0 + self.contrast * (0.3 * own - (TAU * across).cos())
     }
 
     /// Structure of two pixels' size.

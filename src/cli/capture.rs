@@ -16,14 +16,14 @@ use crate::rig::{
     self, AxisName, Camera, CameraWiring, EmergencyLine, Judge, Outlook, PlannedShot,
     RigDescription, SystemClock, read_wire_log,
 };
-use crate::session::{Plan, SessionFolder, sha256};
+use crate::session::{FrameKind, Plan, SessionFolder, sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Move the rig through a plan and record a session
 ///
 /// Checks the whole plan against the rig's limits and bodies before a byte is sent; then homes, shoots the white standard,
-/// every configuration and darks, and parks. Each frame is on disk and journaled before the next is taken; it is looked at,
+/// every configuration and darks, and parks. A plan may say that it shows a flat, chart or board for a calibration. Each frame is on disk and journaled before the next is taken; it is looked at,
 /// and shot again at another exposure when it is clipped or too dark. Ctrl-C pauses after the current shot, twice stops the
 /// rig; any fault stops motion and switches the lamp off. An interrupted capture, whatever interrupted it, goes on with
 /// --resume.
@@ -47,6 +47,9 @@ use std::sync::Arc;
       --camera replay:mocks/khungurn16_gabardine --port /dev/pts/3 --yes
       drive the board on that port (real, or from `goniofit sim --rig rig_configs/virtual.toml` in another terminal),
       taking frames from a recorded session
+  goniofit capture --rig R.toml --plan rig_configs/plans/linearity.toml --out linearity --camera gphoto2 \\
+      --exposures-ms 1,2,4,8,16,32,64,128,256,512 --repeats 2
+      a calibration: many exposures of one evenly bright thing, two frames each, and darks of each
   goniofit capture --rig two_board_grbl.toml ... --port camera=/dev/ttyUSB0 --port light=/dev/ttyUSB1")]
 pub(crate) struct Arguments {
     /// Rig description
@@ -73,6 +76,17 @@ pub(crate) struct Arguments {
     /// Visit configurations in this order
     #[arg(long, value_enum, default_value_t = OrderName::Short)]
     order: OrderName,
+    /// Take all of these exposures, milliseconds, ascending, of everything, instead of the rig file's list and metering
+    #[arg(
+        long,
+        value_name = "MS,MS,...",
+        value_delimiter = ',',
+        conflicts_with = "resume"
+    )]
+    exposures_ms: Option<Vec<f64>>,
+    /// Take this many frames of each exposure, darks included, instead of what the rig file says
+    #[arg(long, value_name = "N", conflicts_with = "resume")]
+    repeats: Option<u32>,
     /// Do not look at frames while capturing: no metering, no re-shooting
     #[arg(long)]
     blind: bool,
@@ -202,7 +216,13 @@ fn rig_and_plan(arguments: &Arguments) -> Result<(RigDescription, Plan)> {
         return Ok((rig, session.plan()?));
     }
     match (&arguments.rig, &arguments.plan) {
-        (Some(rig), Some(plan)) => Ok((RigDescription::read(rig)?, Plan::read(plan)?)),
+        (Some(rig), Some(plan)) => {
+            let mut rig = RigDescription::read(rig)?;
+            if arguments.exposures_ms.is_some() || arguments.repeats.is_some() {
+                rig = rig.with_exposures(arguments.exposures_ms.as_deref(), arguments.repeats)?;
+            }
+            Ok((rig, Plan::read(plan)?))
+        }
         _ => Err(Error::new("--rig and --plan are needed")),
     }
 }
@@ -336,7 +356,7 @@ fn print_plan(
         data!(
             "{}",
             serde_json::json!({
-                "rig": rig.name, "plan": plan.name, "frames": shots.len(), "stops": stops,
+                "rig": rig.name, "plan": plan.name, "shows": plan.shows.name(), "frames": shots.len(), "stops": stops,
                 "seconds": outlook.seconds_left(),
                 "travel_seconds": work.tour.as_ref().map(|t| t.seconds),
                 "shortest_travel_seconds": work.tour.as_ref().map(|t| t.lower_bound),
@@ -351,6 +371,9 @@ fn print_plan(
         plan.name,
         shots.len()
     );
+    if plan.shows != FrameKind::Sample {
+        data!("# in the sample's place: {}", plan.shows.name());
+    }
     let heads: Vec<&str> = AxisName::ALL.iter().map(|a| a.name()).collect();
     data!("kind       config  frames  {}", heads.join("  "));
     for (stop, frames) in stops {

@@ -10,6 +10,7 @@ mod fits;
 mod icc;
 mod plain_png;
 mod plain_tiff;
+mod raw_claims;
 mod tiff_structure;
 
 use crate::base::{Context, Error, Result};

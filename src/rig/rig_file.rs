@@ -123,6 +123,44 @@ impl RigDescription {
         Ok(rig)
     }
 
+    /// The same rig with another list of exposures, milliseconds, every one of which is taken of everything; with another
+    /// number of frames per exposure, darks included; or both. Its text says so too, but loses its comments.
+    ///
+    /// # Errors
+    /// The list is not ascending, or a number is out of range.
+    pub fn with_exposures(
+        &self,
+        exposures_ms: Option<&[f64]>,
+        repeats: Option<u32>,
+    ) -> Result<Self> {
+        let mut table: toml::Table = toml::from_str(&self.text).context(|| "not a rig file")?;
+        let camera = table.get_mut("camera").and_then(toml::Value::as_table_mut);
+        let camera = camera.ok_or_else(|| Error::new("the rig file has no table [camera]"))?;
+        let mut set = |key: &str, value: toml::Value| camera.insert(key.to_owned(), value);
+        if let Some(exposures) = exposures_ms {
+            let list = exposures.iter().map(|e| toml::Value::Float(*e)).collect();
+            set("exposures_ms", toml::Value::Array(list));
+            set("metering", toml::Value::String("fixed".to_owned()));
+            set("reshoots", toml::Value::Integer(0));
+            // The range re-shooting keeps to has to hold the list.
+            let [first, last] = [exposures.first(), exposures.last()];
+            for (key, own, value) in [
+                ("min_exposure_ms", self.camera.min_exposure_ms, first),
+                ("max_exposure_ms", self.camera.max_exposure_ms, last),
+            ] {
+                if let (Some(_), Some(value)) = (own, value) {
+                    set(key, toml::Value::Float(*value));
+                }
+            }
+        }
+        if let Some(repeats) = repeats {
+            set("repeats", toml::Value::Integer(repeats.into()));
+            set("dark_repeats", toml::Value::Integer(repeats.into()));
+        }
+        let text = toml::to_string(&table).context(|| "the rig file cannot be written again")?;
+        Self::from_toml(&text)
+    }
+
     fn check(&self) -> Result<()> {
         let mut names: Vec<&str> = self.boards.iter().map(|b| b.name.as_str()).collect();
         names.sort_unstable();

@@ -43,7 +43,7 @@ pub enum Order {
 pub struct Stop {
     /// What is shot there.
     pub kind: FrameKind,
-    /// The plan's configuration for samples.
+    /// The plan's configuration for what the plan shows.
     pub config: Option<u32>,
     /// Where light, camera and turntable stand.
     pub pose: Configuration,
@@ -136,9 +136,11 @@ impl History {
 pub struct CapturePlan {
     /// The white standard at the reference geometry.
     pub white: Stop,
+    /// What lies in the sample's place.
+    pub shows: FrameKind,
     /// The configurations, in the order they are visited.
     pub samples: Vec<Stop>,
-    /// The sample at the reference geometry; none when the lamp's drift is not followed.
+    /// What the plan shows at the reference geometry; none when the lamp's drift is not followed.
     pub reference: Option<Stop>,
     /// Where darks are taken: the last configuration's place.
     pub dark: Stop,
@@ -169,7 +171,7 @@ pub fn plan_capture(rig: &RigDescription, plan: &Plan, order: Order) -> Result<C
         .configurations
         .iter()
         .zip(&angles)
-        .map(|(c, a)| stop(FrameKind::Sample, Some(c.id), *c, *a))
+        .map(|(c, a)| stop(plan.shows, Some(c.id), *c, *a))
         .collect();
     for stop in &samples {
         rig.check_pose_clearance(&stop.angles)
@@ -192,6 +194,7 @@ pub fn plan_capture(rig: &RigDescription, plan: &Plan, order: Order) -> Result<C
         reference: (rig.lamp.reference_every > 0)
             .then(|| stop(FrameKind::Reference, None, reference, reference_angles)),
         dark: stop(FrameKind::Dark, None, last.pose, last.angles),
+        shows: plan.shows,
         samples,
         tour,
         rule: ExposureRule::of(&rig.camera),
@@ -288,7 +291,7 @@ impl CapturePlan {
         let since = history
             .recent()
             .take_while(|f| f.kind != FrameKind::Reference)
-            .filter(|f| f.kind == FrameKind::Sample)
+            .filter(|f| f.kind == self.shows)
             .count();
         if let Some(latest) = latest
             && since == 0
@@ -302,7 +305,7 @@ impl CapturePlan {
             Some(next) => {
                 let begun = history
                     .recent()
-                    .any(|f| f.kind == FrameKind::Sample && f.config == next.shot.config);
+                    .any(|f| f.kind == self.shows && f.config == next.shot.config);
                 !begun && (latest.is_none() || since >= self.reference_every as usize)
             }
         };
@@ -313,7 +316,10 @@ impl CapturePlan {
             .frames
             .iter()
             .filter(|(_, f)| f.kind == FrameKind::Reference);
-        let visit = references.map(|(_, f)| f.visit + 1).max().unwrap_or(0);
+        let visit = references
+            .map(|(_, f)| f.visit.saturating_add(1))
+            .max()
+            .unwrap_or(0);
         self.missing(stop, visit, history, &self.reference_rule(visit, history))
     }
 
@@ -326,8 +332,12 @@ impl CapturePlan {
             f.exposed
                 .is_none_or(|e| e.peak.iter().all(|p| *p < super::exposures::CLIPPED))
         };
+        let visits = history.frames.iter().map(|(_, f)| f);
+        let visits = visits.filter(|f| f.kind == stop.kind && f.visit < visit);
+        let visits: std::collections::BTreeSet<u32> = visits.map(|f| f.visit).collect();
         // A visit that was cut short before it had a usable frame is no model.
-        let first = (0..visit)
+        let first = visits
+            .into_iter()
             .map(|v| history.at(stop, v))
             .find(|frames| frames.iter().any(|f| usable(&f)));
         let Some(first) = first else {

@@ -1,6 +1,6 @@
 //! Configurations and plans: which light and camera directions, at which turntable rotation.
 
-use super::files;
+use super::{FrameKind, files};
 use crate::base::{Context, Error, Result};
 use crate::math::PolarDirection;
 use serde::{Deserialize, Serialize};
@@ -39,6 +39,9 @@ pub struct Plan {
     pub name: String,
     /// Where the poses come from.
     pub description: String,
+    /// What lies in the sample's place: [`FrameKind::Sample`], or [`FrameKind::Flat`], [`FrameKind::Chart`] or
+    /// [`FrameKind::Board`] for a calibration. Its frames are of that kind.
+    pub shows: FrameKind,
     /// At least one; ids unique.
     pub configurations: Vec<Configuration>,
 }
@@ -61,7 +64,17 @@ struct PlanFile {
     name: String,
     #[serde(default)]
     description: String,
+    #[serde(default = "sample", skip_serializing_if = "is_sample")]
+    shows: FrameKind,
     configurations: Vec<ConfigurationRow>,
+}
+
+fn sample() -> FrameKind {
+    FrameKind::Sample
+}
+
+fn is_sample(kind: &FrameKind) -> bool {
+    *kind == FrameKind::Sample
 }
 
 /// Degrees without the last bits' noise of the conversion to radians and back.
@@ -157,6 +170,18 @@ impl Plan {
     pub fn from_toml(text: &str) -> Result<Self> {
         let file: PlanFile = toml::from_str(text).context(|| "not a plan file")?;
         check_ids(file.configurations.iter().map(|c| c.config))?;
+        if matches!(
+            file.shows,
+            FrameKind::Dark | FrameKind::White | FrameKind::Reference
+        ) {
+            return Err(Error::new(format!(
+                "shows is '{}', expected 'sample', 'flat', 'chart' or 'board'",
+                file.shows.name()
+            ))
+            .with_hint(
+                "darks, the white standard and reference frames are part of every capture",
+            ));
+        }
         let configurations = file
             .configurations
             .into_iter()
@@ -165,6 +190,7 @@ impl Plan {
         Ok(Self {
             name: file.name,
             description: file.description,
+            shows: file.shows,
             configurations,
         })
     }
@@ -177,6 +203,7 @@ impl Plan {
         let file = PlanFile {
             name: self.name.clone(),
             description: self.description.clone(),
+            shows: self.shows,
             configurations: self.configurations.iter().map(|&c| c.into()).collect(),
         };
         toml::to_string(&file).context(|| "plan cannot be written as TOML")
@@ -205,6 +232,11 @@ mod tests {
                 && text.contains("camera_theta_deg = 48.25\n"),
             "{text}"
         );
+        // What old plans do not say stays unsaid: sessions are known by the text of their plan.
+        assert!(!text.contains("shows"));
+        let board = Plan::from_toml(&format!("shows = 'board'\n{ONE}")).unwrap();
+        assert_eq!(board.shows, FrameKind::Board);
+        assert_eq!(Plan::from_toml(&board.to_toml().unwrap()).unwrap(), board);
         let c = plan.configuration(3).unwrap();
         assert!((c.light_in_sample().phi.to_degrees() - 180.0).abs() < 1e-12);
     }
@@ -216,6 +248,8 @@ mod tests {
         assert!(error(&ONE.replace("80", "nan")).contains("light_theta_deg is NaN"));
         assert!(error(&ONE.replace("= 90", "= inf")).contains("rotation_deg"));
         assert!(error(&format!("{ONE}{}", ONE.replace("name = 'p'", ""))).contains("occurs twice"));
+        assert!(error(&format!("shows = 'dark'\n{ONE}")).contains("shows is 'dark'"));
+        assert!(error(&format!("shows = 'cloth'\n{ONE}")).contains("cloth"));
         assert!(error("name = 'p'\nconfigurations = []").contains("no configurations"));
         assert!(error(&ONE.replace("rotation_deg", "rotation")).contains("rotation"));
     }

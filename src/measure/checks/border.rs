@@ -1,6 +1,6 @@
 //! What lies around the square: a ring outside against a band inside, in stretches along each side.
 
-use super::super::Picture;
+use super::Picture;
 use super::planes::{Grown, Plane, robust};
 use super::{Border, BorderEnd, CheckOptions};
 

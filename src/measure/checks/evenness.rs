@@ -1,7 +1,7 @@
 //! Shadows, bright patches and slopes: 8 x 8 means over the crop against a plane, and against a plane plus a step. The means
 //! overlap and taper off, so that yarns cut by their edges do not count as brightness.
 
-use super::super::Picture;
+use super::Picture;
 use super::planes::{Grown, Plane, robust};
 use super::{CheckOptions, Evenness, Step};
 

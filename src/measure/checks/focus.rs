@@ -3,7 +3,7 @@
 //! the same. Poses are compared by fine energy over that of differences at five to thirteen times the distance, because
 //! contrast changes with the light.
 
-use super::super::Picture;
+use super::Picture;
 use super::evenness::square_box;
 use super::planes::{Grown, Plane};
 use super::{CheckOptions, Focus};

@@ -1,7 +1,7 @@
 //! A picture taken apart into regular grids of one kind of value each.
 
-use super::super::Picture;
-use super::super::statistics::Crop;
+use super::Crop;
+use super::Picture;
 
 /// The values of one place of the mosaic, or of one channel.
 #[derive(Debug, Clone)]

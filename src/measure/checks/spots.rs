@@ -7,7 +7,7 @@
 //! where these are too few for blocks, eight robust standard deviations of them all are the bar.
 //! What fills more than about a third of the blocks counts as texture.
 
-use super::super::Picture;
+use super::Picture;
 use super::planes::{Grown, Plane, median, robust};
 use super::{CheckOptions, Outliers};
 

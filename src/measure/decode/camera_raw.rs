@@ -1,7 +1,7 @@
 //! Camera RAW files and packed DNG, through `rawloader`.
 
 use super::dng::DngFacts;
-use super::{ExifFields, RawFrame, bayer, no_bayer, visible_size};
+use super::{ExifFields, RawFrame, bayer, no_bayer, raw_claims, visible_size};
 use crate::base::{Error, Result};
 use crate::session::Layout;
 
@@ -10,6 +10,7 @@ use crate::session::Layout;
 /// # Errors
 /// When the decoder does not know the file, or reads anything but raw integers of a layout that is measured.
 pub(super) fn decode(bytes: &[u8], dng: Option<&DngFacts>) -> Result<RawFrame> {
+    raw_claims::check(bytes)?;
     let mut image = rawloader::decode(&mut &bytes[..]).map_err(|e| explain(&e.to_string()))?;
     let [width, height] = visible_size([image.width, image.height], image.crops)?;
     let (layout, black) = match dng {

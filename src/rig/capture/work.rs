@@ -175,14 +175,15 @@ impl Loop<'_, '_> {
     }
 
     fn put_in_place(&mut self, kind: FrameKind) -> Step {
-        let (kind, question) = match kind {
-            FrameKind::White => (kind, "put the white standard in place"),
+        let kind = match kind {
             FrameKind::Dark => return Ok(()),
-            _ => (FrameKind::Sample, "put the sample in place"),
+            FrameKind::White => kind,
+            _ => self.plan.shows,
         };
         if self.in_place != Some(kind) {
             let operator = self.operator;
-            self.rig.ask(&mut |q| operator.confirm(q), question)?;
+            let question = format!("put {} in place", called(kind));
+            self.rig.ask(&mut |q| operator.confirm(q), &question)?;
             self.in_place = Some(kind);
         }
         Ok(())
@@ -224,20 +225,7 @@ impl Loop<'_, '_> {
         self.operator.seen(&Seen::Exposing(shot));
         let (frame, exposed) = match self.expose(shot) {
             Ok(taken) => taken,
-            Err(error)
-                if !self.operator.urgent() && self.plan.refuse(shot.exposure_ms, &self.history) =>
-            {
-                let reason = error.report().replace('\n', "; ");
-                self.operator.seen(&Seen::Note(&format!(
-                    "shot {} left out: {reason}",
-                    describe(shot)
-                )));
-                self.outlook.renew(&self.plan, &self.history);
-                return Ok(());
-            }
-            Err(error) => {
-                return Err(Error::new(format!("shot {}", describe(shot))).with_source(error));
-            }
+            Err(error) => return self.leave_out(shot, error),
         };
         // The shot counts only if nothing moved while the shutter was open.
         self.rig.verify()?;
@@ -278,6 +266,22 @@ impl Loop<'_, '_> {
             remaining_s: self.outlook.seconds_left(),
         }));
         self.log.check()
+    }
+
+    /// A shot that could not be taken. One beyond the list of exposures is not needed: the camera's range ends there, and
+    /// the capture goes on without it.
+    fn leave_out(&mut self, shot: &Shot, error: Error) -> Result<()> {
+        let needed = self.operator.urgent() || !self.plan.refuse(shot.exposure_ms, &self.history);
+        if needed {
+            return Err(Error::new(format!("shot {}", describe(shot))).with_source(error));
+        }
+        let reason = error.report().replace('\n', "; ");
+        self.operator.seen(&Seen::Note(&format!(
+            "shot {} left out: {reason}",
+            describe(shot)
+        )));
+        self.outlook.renew(&self.plan, &self.history);
+        Ok(())
     }
 
     /// A whole frame and how well it is exposed; one that cannot be read is shot again, a bounded number of times.
@@ -355,6 +359,17 @@ fn asked_end(request: Request) -> Option<End> {
         Request::PauseNow => Some(End::Paused),
         Request::Abort => Some(End::Aborted),
         Request::Halt => Some(End::Halted),
+    }
+}
+
+/// What the operator knows it as.
+fn called(kind: FrameKind) -> &'static str {
+    match kind {
+        FrameKind::White => "the white standard",
+        FrameKind::Flat => "the evenly bright panel or diffuser",
+        FrameKind::Chart => "the color chart",
+        FrameKind::Board => "the checkerboard",
+        FrameKind::Sample | FrameKind::Dark | FrameKind::Reference => "the sample",
     }
 }
 
