@@ -59,6 +59,7 @@ pub fn record(
     let plan = Plan {
         name: "test".to_owned(),
         description: String::new(),
+        shows: goniofit::session::FrameKind::Sample,
         configurations: configurations.to_vec(),
     };
     let (session, mut journal) = SessionFolder::create(root, manifest, &plan, "").unwrap();

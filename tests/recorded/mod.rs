@@ -213,6 +213,7 @@ pub fn record_as(
     let plan = Plan {
         name: "test".to_owned(),
         description: String::new(),
+        shows: goniofit::session::FrameKind::Sample,
         configurations: vec![Configuration { id: 1, ..pose() }],
     };
     let (session, mut journal) = SessionFolder::create(root, manifest, &plan, "").unwrap();

@@ -314,6 +314,7 @@ pub fn plan(configurations: Vec<Configuration>) -> Plan {
     Plan {
         name: "test".to_owned(),
         description: String::new(),
+        shows: goniofit::session::FrameKind::Sample,
         configurations,
     }
 }
