@@ -1,11 +1,15 @@
 //! `goniofit measure`: statistics of one frame, or the intensities of a session.
 
+use super::measured::{self, Export, Outputs};
 use super::output::data;
 use super::terminal::Terminal;
 use super::{Outcome, inputs};
 use crate::base::{Context, Result};
-use crate::measure::{self, Crop, FrameStatistics, MeasureOptions, MeasureReport, RawFrame};
-use crate::session::{FrameKind, Measurements, SessionFolder, files};
+use crate::measure::calibration::Calibrations;
+use crate::measure::{
+    self, Crop, FrameStatistics, MeasureOptions, MeasureReport, RawFrame, Viewer,
+};
+use crate::session::{FrameKind, Measurements, Quantity, SessionFolder};
 use clap::{Args, Subcommand};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -50,26 +54,68 @@ struct FrameArguments {
 /// Mean normalized radiance of the sample square in every configuration of a session
 #[derive(Args)]
 #[command(
-    after_help = "Writes measurements.csv into the session folder and prints a table.
+    after_help = "Writes measurements.csv, measurements.json and the page measurement.html into the session folder and prints a table.
 Exit code 1 when some configuration was saturated, under-exposed or not captured.
 
 Examples:
   goniofit measure session goniofit-demo
-  goniofit measure session goniofit-demo --out again.csv --json
-  goniofit measure session goniofit-demo --force        replace an existing measurements.csv"
+  goniofit measure session goniofit-demo --out again --json      again.csv, again.json, again.html
+  goniofit measure session goniofit-demo --force                 replace existing files
+  goniofit measure session goniofit-demo --export astm,alta,exr  also tables for other programs, and linear crops
+  goniofit measure session irawan --export brdf-csv --symmetry 180"
 )]
 struct SessionArguments {
     /// Session folder (holds session.json)
     folder: PathBuf,
-    /// CSV file to write [default: measurements.csv in the session folder]
-    #[arg(long, value_name = "FILE")]
+    /// Beginning of the files' names: STEM.csv, STEM.json, ... [default: the usual names in the session folder]
+    #[arg(long, value_name = "STEM")]
     out: Option<PathBuf>,
+    /// What else to write
+    #[arg(long, value_name = "WHAT,..", value_enum, value_delimiter = ',')]
+    export: Vec<Export>,
+    /// Quantity of the CSV file and the printed table
+    #[arg(long = "as", value_name = "QUANTITY", value_enum, default_value_t = QuantityName::NormalizedRadiance)]
+    quantity: QuantityName,
+    /// In BRDF tables, add a marked copy of every point turned by this angle about the normal
+    #[arg(long, value_name = "DEG", value_parser = parse_symmetry)]
+    symmetry: Option<u32>,
+    /// Folder of the rig's calibration files
+    #[arg(long, value_name = "DIR")]
+    calibration: Option<PathBuf>,
     /// Print JSON with the error budget instead of the table
     #[arg(long)]
     json: bool,
-    /// Replace an existing CSV file
+    /// Replace existing files
     #[arg(long)]
     force: bool,
+}
+
+/// [`Quantity`] on the command line.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum QuantityName {
+    /// pi L / E_normal
+    NormalizedRadiance,
+    /// Over that of a perfect white diffuser
+    RadianceFactor,
+    /// 1/sr
+    Brdf,
+}
+
+impl From<QuantityName> for Quantity {
+    fn from(name: QuantityName) -> Self {
+        match name {
+            QuantityName::NormalizedRadiance => Self::NormalizedRadiance,
+            QuantityName::RadianceFactor => Self::RadianceFactor,
+            QuantityName::Brdf => Self::Brdf,
+        }
+    }
+}
+
+fn parse_symmetry(text: &str) -> std::result::Result<u32, String> {
+    match text {
+        "180" => Ok(180),
+        _ => Err("only half a turn (180) is known".to_owned()),
+    }
 }
 
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
@@ -201,27 +247,65 @@ fn print_frame(frame: &RawFrame, statistics: &FrameStatistics) {
 
 fn session(arguments: &SessionArguments) -> Result<Outcome> {
     let session = inputs::session(&arguments.folder)?;
-    let out = arguments
-        .out
-        .clone()
-        .unwrap_or_else(|| arguments.folder.join("measurements.csv"));
-    inputs::refuse_overwriting(&out, arguments.force)?;
+    let quantity = Quantity::from(arguments.quantity);
+    let outputs = Outputs::new(
+        &arguments.folder,
+        arguments.out.as_deref(),
+        &arguments.export,
+        quantity,
+        arguments.symmetry.is_some(),
+    );
+    outputs.refuse_overwriting(arguments.force)?;
+    let (calibrations, used) = match &arguments.calibration {
+        Some(folder) => {
+            let calibrations = Calibrations::read(folder)?;
+            let used = measured::calibrations_used(folder, &calibrations)?;
+            (calibrations, used)
+        }
+        None => Default::default(),
+    };
+    let options = MeasureOptions::default();
+    let gallery = outputs.gallery(&session, &options)?;
     let terminal = Terminal::new()?;
-    let (measurements, report) =
-        measure::measure_session(&session, &MeasureOptions::default(), &terminal)?;
-    files::write_atomic(&out, measurements.to_csv()?.as_bytes())?;
+    let (measurements, report) = measured(&session, &options, &calibrations, &gallery, &terminal)?;
+    let record = measured::record(&session, &options, used, "camera", &measurements, &report)?;
+    let mut looks = gallery.looks(measured::gains(&record))?;
+    measured::add_calibrations(&mut looks, &calibrations)?;
+    let written = outputs.write(&measurements, &record, &looks)?;
     tell(&terminal, &session, &report)?;
-    terminal.say(format!("wrote {}", out.display()));
+    for path in written {
+        terminal.say(format!("wrote {}", path.display()));
+    }
     if arguments.json {
         data!("{}", pretty(&session_json(&measurements, &report))?);
     } else {
-        print_table(&measurements, &report);
+        print_table(&measurements, &report, quantity);
     }
     Ok(if report.outside_tolerance() {
         Outcome::OutsideTolerance
     } else {
         Outcome::Done
     })
+}
+
+/// The one call into the measuring room.
+fn measured(
+    session: &SessionFolder,
+    options: &MeasureOptions,
+    calibrations: &Calibrations,
+    viewer: &dyn Viewer,
+    terminal: &Terminal,
+) -> Result<(Measurements, MeasureReport)> {
+    let (measurements, mut report) = measure::measure_session(session, options, terminal)?;
+    if *calibrations != Calibrations::default() {
+        let warning = "the calibration files are listed but were not applied";
+        report.warnings.push(warning.to_owned());
+    }
+    for record in session.frames()? {
+        let frame = measure::decode_file(&session.frame_path(&record.file))?;
+        viewer.frame(&record, &frame)?;
+    }
+    Ok((measurements, report))
 }
 
 /// What is not data: where the numbers come from, and what the operator should know.
@@ -268,12 +352,21 @@ fn session_json(measurements: &Measurements, report: &MeasureReport) -> serde_js
     })
 }
 
-fn print_table(measurements: &Measurements, report: &MeasureReport) {
+fn print_table(measurements: &Measurements, report: &MeasureReport, quantity: Quantity) {
     if report.synthetic {
         data!("# synthetic");
     }
     print_lamp(report);
-    data!("# normalized radiance pi L / E_normal, +- standard error");
+    match quantity {
+        Quantity::NormalizedRadiance => {
+            data!("# normalized radiance pi L / E_normal, +- standard error");
+        }
+        other => data!(
+            "# {}, unit {}, +- standard error",
+            other.definition(),
+            other.unit()
+        ),
+    }
     data!("config           r                   g                   b            exposures ms");
     for c in &report.configurations {
         let found = measurements
@@ -284,10 +377,10 @@ fn print_table(measurements: &Measurements, report: &MeasureReport) {
             data!("{:>6}   not measured: {:?}", c.config, c.condition);
             continue;
         };
-        let cells: Vec<String> = i
-            .mean
+        let (mean, standard_error) = quantity.of(i);
+        let cells: Vec<String> = mean
             .iter()
-            .zip(i.standard_error)
+            .zip(standard_error)
             .map(|(m, s)| format!("{m:.5} +- {s:.5}"))
             .collect();
         let times: Vec<String> = c.exposures_ms.iter().map(f64::to_string).collect();

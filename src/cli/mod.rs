@@ -14,11 +14,14 @@ mod screen;
 mod terminal;
 
 mod capture;
+mod crops;
 mod demo;
 mod doctor;
 mod fabric;
 mod fit;
 mod measure;
+mod measured;
+mod plan;
 mod render;
 mod report;
 mod rig;
@@ -56,6 +59,7 @@ enum Command {
     Demo(demo::Arguments),
     Simulate(simulate::Arguments),
     Sim(sim::Arguments),
+    Plan(plan::Arguments),
     Capture(capture::Arguments),
     Rig(rig::Arguments),
     Doctor(doctor::Arguments),
@@ -87,6 +91,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Demo(a) => demo::run(a),
         Command::Simulate(a) => simulate::run(a),
         Command::Sim(a) => sim::run(a),
+        Command::Plan(a) => plan::run(a),
         Command::Capture(a) => capture::run(a),
         Command::Rig(a) => rig::run(a),
         Command::Doctor(a) => doctor::run(a),

@@ -10,8 +10,12 @@
 //! journal.jsonl       append-only, one fsynced line per event; a torn last line is tolerated
 //! frames/             the camera's files, never overwritten
 //! measurements.csv    the intensities, once measured
+//! measurements.json   the same with everything known about them
 //! ```
 
+mod alta;
+mod astm;
+mod brdf_tables;
 pub mod dng;
 pub mod files;
 mod journal;
@@ -20,7 +24,13 @@ mod manifest;
 mod measurements;
 mod plan;
 mod projection;
+pub mod protocols;
+mod quantity;
+mod record;
 
+pub use alta::alta_text;
+pub use astm::{astm_standard_errors, astm_text};
+pub use brdf_tables::{BrdfTable, brdf_tables};
 pub use dng::{BitDepth, CfaPattern, DngImage, write_dng};
 pub use files::sha256;
 pub use journal::{Entry, Event, Exposedness, FrameKind, FrameRecord, Journal, read_journal};
@@ -29,3 +39,7 @@ pub use manifest::{CameraFacts, Lens, Manifest, Provenance, SessionFolder, White
 pub use measurements::{Intensity, Measurements};
 pub use plan::{Configuration, Plan};
 pub use projection::{Coverage, Projection, RowSpan};
+pub use quantity::Quantity;
+pub use record::{
+    CalibrationUsed, LampPoint, MeasurementRecord, RecordedConfiguration, SessionStamp,
+};
