@@ -11,7 +11,7 @@ use crate::rig::capture::CaptureOptions;
 use crate::rig::simulated::capture_over_pty;
 use crate::rig::{ReplayCamera, RigDescription};
 use crate::scatter;
-use crate::session::{FrameKind, Layout, Measurements, Projection, SessionFolder, files};
+use crate::session::{FrameKind, Layout, Measurements, Projection, Quantity, SessionFolder, files};
 use std::path::{Path, PathBuf};
 
 /// The whole main job on the recorded session: capture, measure, fit, report
@@ -177,7 +177,8 @@ fn measure(
     terminal.say("2/4 measure: RAW frames to normalized radiance");
     let (measurements, report) = measure_session(session, &MeasureOptions::default(), terminal)?;
     let path = a.out.join("measurements.csv");
-    files::write_atomic(&path, measurements.to_csv()?.as_bytes())?;
+    let csv = measurements.to_stated_csv(Quantity::NormalizedRadiance, report.synthetic)?;
+    files::write_atomic(&path, csv.as_bytes())?;
     let pulls: Vec<f64> = measurements
         .intensities
         .iter()

@@ -21,8 +21,8 @@ Without a limit a fit ends after 60 seconds, or earlier when Monte Carlo noise a
 The same seed and --paths give the same numbers on any number of threads; a fit limited by time does not repeat exactly.
 Writes fit.json and report.html into --out. Exit code 1: finished, but not converged; fit.json says why.")]
 pub(crate) struct Arguments {
-    /// Measured intensities (CSV)
-    #[arg(long, value_name = "M.csv")]
+    /// Measured intensities: measurements.csv or measurements.json
+    #[arg(long, value_name = "M.csv|M.json")]
     measurements: PathBuf,
     /// Fabric description (TOML)
     #[arg(long, value_name = "F.toml")]
@@ -105,7 +105,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         tolerance: a.tolerance,
         ..Options::new(a.seed, budget(&a))
     };
-    let measurements = Measurements::read(&a.measurements)?;
+    let (measurements, synthetic) = Measurements::read_with_origin(&a.measurements)?;
     inputs::prepare_folder(&a.out)?;
     let terminal = Terminal::new()?;
     // The light and the sample square are those of the session the measurements lie in or beside.
@@ -120,7 +120,12 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     terminal.finish_stage();
     result.fabric = a.fabric.display().to_string();
     result.measurements = a.measurements.display().to_string();
-    result.synthetic = session.and_then(|s| s.manifest().ok()).map(|m| m.synthetic);
+    // Either may say so: the file, wherever it lies, or the session it lies in.
+    let of_session = session.and_then(|s| s.manifest().ok()).map(|m| m.synthetic);
+    result.synthetic = match (synthetic, of_session) {
+        (Some(a), Some(b)) => Some(a || b),
+        (a, b) => a.or(b),
+    };
     result.command = command_line();
 
     result.write(&fit_path, a.force)?;

@@ -1,11 +1,15 @@
 //! `goniofit measure`: statistics of one frame, or the intensities of a session.
 
+use super::measured::{self, Export, Outputs};
 use super::output::data;
 use super::terminal::Terminal;
 use super::{Outcome, inputs};
-use crate::base::{Context, Result};
-use crate::measure::{self, Crop, FrameStatistics, MeasureOptions, MeasureReport, RawFrame};
-use crate::session::{FrameKind, Measurements, SessionFolder, files};
+use crate::base::{Context, Error, Result};
+use crate::measure::calibration::{Calibrations, PoseErrors};
+use crate::measure::{
+    self, Crop, CropRule, FrameStatistics, MeasureOptions, MeasureReport, RawFrame,
+};
+use crate::session::{FrameKind, Measurements, Quantity, SessionFolder};
 use clap::{Args, Subcommand};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -50,26 +54,79 @@ struct FrameArguments {
 /// Mean normalized radiance of the sample square in every configuration of a session
 #[derive(Args)]
 #[command(
-    after_help = "Writes measurements.csv into the session folder and prints a table.
+    after_help = "Writes measurements.csv, measurements.json and the page measurement.html into the session folder and prints a table.
 Exit code 1 when some configuration was saturated, under-exposed or not captured.
 
 Examples:
   goniofit measure session goniofit-demo
-  goniofit measure session goniofit-demo --out again.csv --json
-  goniofit measure session goniofit-demo --force        replace an existing measurements.csv"
+  goniofit measure session night2 --calibration calibration/lab --pose-errors 0.05,0.05,0.1,0.1
+  goniofit measure session goniofit-demo --out again --json      again.csv, again.json, again.html
+  goniofit measure session goniofit-demo --force                 replace existing files
+  goniofit measure session goniofit-demo --export astm,alta,exr  also tables for other programs, and linear crops
+  goniofit measure session irawan --export brdf-csv --symmetry 180"
 )]
 struct SessionArguments {
     /// Session folder (holds session.json)
     folder: PathBuf,
-    /// CSV file to write [default: measurements.csv in the session folder]
-    #[arg(long, value_name = "FILE")]
+    /// Beginning of the files' names: STEM.csv, STEM.json, ... [default: the usual names in the session folder]
+    #[arg(long, value_name = "STEM")]
     out: Option<PathBuf>,
+    /// What else to write
+    #[arg(long, value_name = "WHAT,..", value_enum, value_delimiter = ',')]
+    export: Vec<Export>,
+    /// Quantity of the CSV file and the printed table
+    #[arg(long = "as", value_name = "QUANTITY", value_enum, default_value_t = QuantityName::NormalizedRadiance)]
+    quantity: QuantityName,
+    /// In BRDF tables, add a marked copy of every point turned by this angle about the normal
+    #[arg(long, value_name = "DEG", value_parser = parse_symmetry)]
+    symmetry: Option<u32>,
+    /// Folder of the rig's calibration files; the newest of each kind is applied
+    #[arg(long, value_name = "DIR")]
+    calibration: Option<PathBuf>,
+    /// Standard uncertainties of the pose: camera angle, light angle, turntable (degrees), height of the surface (mm)
+    /// [default: as the geometry calibration says]
+    #[arg(long, value_name = "CAMERA,LIGHT,TABLE,HEIGHT", value_parser = parse_pose)]
+    pose_errors: Option<PoseErrors>,
+    /// Average over this box of every image instead of the projection of the sample square
+    #[arg(long, value_name = "X,Y,W,H", value_parser = parse_crop)]
+    crop: Option<Crop>,
+    /// Convert to the color space of the color calibration instead of keeping the camera's red, green, blue
+    #[arg(long, requires = "calibration")]
+    color: bool,
     /// Print JSON with the error budget instead of the table
     #[arg(long)]
     json: bool,
-    /// Replace an existing CSV file
+    /// Replace existing files
     #[arg(long)]
     force: bool,
+}
+
+/// [`Quantity`] on the command line.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum QuantityName {
+    /// pi L / E_normal
+    NormalizedRadiance,
+    /// Over that of a perfect white diffuser
+    RadianceFactor,
+    /// 1/sr
+    Brdf,
+}
+
+impl From<QuantityName> for Quantity {
+    fn from(name: QuantityName) -> Self {
+        match name {
+            QuantityName::NormalizedRadiance => Self::NormalizedRadiance,
+            QuantityName::RadianceFactor => Self::RadianceFactor,
+            QuantityName::Brdf => Self::Brdf,
+        }
+    }
+}
+
+fn parse_symmetry(text: &str) -> std::result::Result<u32, String> {
+    match text {
+        "180" => Ok(180),
+        _ => Err("only half a turn (180) is known".to_owned()),
+    }
 }
 
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
@@ -90,6 +147,27 @@ pub(super) fn quiet_decoder_panics() {
             tell(info);
         }
     }));
+}
+
+fn parse_pose(text: &str) -> std::result::Result<PoseErrors, String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|n| n.trim().parse())
+        .collect::<std::result::Result<_, _>>()
+        .map_err(|_| "expected four numbers CAMERA,LIGHT,TABLE,HEIGHT".to_owned())?;
+    match numbers[..] {
+        [camera, light, table, height] if numbers.iter().all(|n| (0.0..=10.0).contains(n)) => {
+            Ok(PoseErrors {
+                camera_theta_deg: camera,
+                light_theta_deg: light,
+                rotation_deg: table,
+                height_mm: height,
+            })
+        }
+        _ => Err(
+            "expected four numbers from 0 to 10: degrees, degrees, degrees, millimeters".to_owned(),
+        ),
+    }
 }
 
 fn parse_crop(text: &str) -> std::result::Result<Crop, String> {
@@ -202,21 +280,51 @@ fn print_frame(frame: &RawFrame, statistics: &FrameStatistics) {
 
 fn session(arguments: &SessionArguments) -> Result<Outcome> {
     let session = inputs::session(&arguments.folder)?;
-    let out = arguments
-        .out
-        .clone()
-        .unwrap_or_else(|| arguments.folder.join("measurements.csv"));
-    inputs::refuse_overwriting(&out, arguments.force)?;
+    let quantity = Quantity::from(arguments.quantity);
+    let outputs = Outputs::new(
+        &arguments.folder,
+        arguments.out.as_deref(),
+        &arguments.export,
+        quantity,
+        arguments.symmetry.is_some(),
+    );
+    outputs.refuse_overwriting(arguments.force)?;
+    let (calibrations, used) = match &arguments.calibration {
+        Some(folder) => {
+            let calibrations = Calibrations::read(folder)?;
+            let used = measured::calibrations_used(folder, &calibrations)?;
+            (calibrations, used)
+        }
+        None => Default::default(),
+    };
+    if arguments.color && calibrations.color.is_none() {
+        return Err(
+            Error::new("the calibration folder has no color calibration")
+                .with_hint("make one with `goniofit calibrate color`, or leave out --color"),
+        );
+    }
+    let options = MeasureOptions {
+        calibrations,
+        pose: arguments.pose_errors,
+        crop: arguments.crop.map_or(CropRule::Square, CropRule::Rectangle),
+        color: arguments.color,
+        ..MeasureOptions::default()
+    };
+    let gallery = outputs.gallery(&session, &options)?;
     let terminal = Terminal::new()?;
-    let (measurements, report) =
-        measure::measure_session(&session, &MeasureOptions::default(), &terminal)?;
-    files::write_atomic(&out, measurements.to_csv()?.as_bytes())?;
+    let (measurements, report) = measure::measure_viewed(&session, &options, &gallery, &terminal)?;
+    let record = measured::record(&session, &options, used, &measurements, &report)?;
+    let mut looks = gallery.looks(measured::gains(&record))?;
+    measured::add_calibrations(&mut looks, &options.calibrations)?;
+    let written = outputs.write(&measurements, &record, &looks)?;
     tell(&terminal, &session, &report)?;
-    terminal.say(format!("wrote {}", out.display()));
+    for path in written {
+        terminal.say(format!("wrote {}", path.display()));
+    }
     if arguments.json {
         data!("{}", pretty(&session_json(&measurements, &report))?);
     } else {
-        print_table(&measurements, &report);
+        print_table(&measurements, &report, quantity);
     }
     Ok(if report.outside_tolerance() {
         Outcome::OutsideTolerance
@@ -243,7 +351,7 @@ fn tell(terminal: &Terminal, session: &SessionFolder, report: &MeasureReport) ->
     let messages = report
         .configurations
         .iter()
-        .filter_map(|c| c.message.as_ref());
+        .flat_map(|c| c.message.iter().chain(&c.notes));
     for message in report.warnings.iter().chain(messages) {
         terminal.say(format!("warning: {message}"));
     }
@@ -269,12 +377,21 @@ fn session_json(measurements: &Measurements, report: &MeasureReport) -> serde_js
     })
 }
 
-fn print_table(measurements: &Measurements, report: &MeasureReport) {
+fn print_table(measurements: &Measurements, report: &MeasureReport, quantity: Quantity) {
     if report.synthetic {
         data!("# synthetic");
     }
     print_lamp(report);
-    data!("# normalized radiance pi L / E_normal, +- standard error");
+    match quantity {
+        Quantity::NormalizedRadiance => {
+            data!("# normalized radiance pi L / E_normal, +- standard error");
+        }
+        other => data!(
+            "# {}, unit {}, +- standard error",
+            other.definition(),
+            other.unit()
+        ),
+    }
     data!("config           r                   g                   b            exposures ms");
     for c in &report.configurations {
         let found = measurements
@@ -285,10 +402,10 @@ fn print_table(measurements: &Measurements, report: &MeasureReport) {
             data!("{:>6}   not measured: {:?}", c.config, c.condition);
             continue;
         };
-        let cells: Vec<String> = i
-            .mean
+        let (mean, standard_error) = quantity.of(i);
+        let cells: Vec<String> = mean
             .iter()
-            .zip(i.standard_error)
+            .zip(standard_error)
             .map(|(m, s)| format!("{m:.5} +- {s:.5}"))
             .collect();
         let times: Vec<String> = c.exposures_ms.iter().map(f64::to_string).collect();

@@ -15,11 +15,14 @@ mod terminal;
 
 mod calibrate;
 mod capture;
+mod crops;
 mod demo;
 mod doctor;
 mod fabric;
 mod fit;
 mod measure;
+mod measured;
+mod plan;
 mod render;
 mod report;
 mod rig;
@@ -58,6 +61,7 @@ enum Command {
     Demo(demo::Arguments),
     Simulate(simulate::Arguments),
     Sim(sim::Arguments),
+    Plan(plan::Arguments),
     Capture(capture::Arguments),
     Calibrate(calibrate::Arguments),
     Session(session::Arguments),
@@ -91,6 +95,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Demo(a) => demo::run(a),
         Command::Simulate(a) => simulate::run(a),
         Command::Sim(a) => sim::run(a),
+        Command::Plan(a) => plan::run(a),
         Command::Capture(a) => capture::run(a),
         Command::Calibrate(a) => calibrate::run(a),
         Command::Session(a) => session::run(a),

@@ -17,7 +17,7 @@ use super::calibration::{Geometry, PoseErrors};
 use super::field::{Around, Weights, Window};
 use super::radiance::Radiance;
 use crate::base::{Context, Result};
-use crate::session::{CameraFacts, Configuration, Coverage, Projection};
+use crate::session::{CameraFacts, Configuration, Coverage, Perturbation, Projection};
 
 /// Standard uncertainties of pose and pointing.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -98,35 +98,43 @@ impl Movable<'_> {
                 let angle = f64::from(i) * std::f64::consts::FRAC_PI_4;
                 let (sin, cos) = angle.sin_cos();
                 let root2 = std::f64::consts::SQRT_2;
-                self.change(mean, |facts, _| {
-                    facts.center_px[0] += root2 * x * cos;
-                    facts.center_px[1] += root2 * y * sin;
-                })
+                self.change(
+                    mean,
+                    &Perturbation {
+                        shift_px: [root2 * x * cos, root2 * y * sin],
+                        ..Perturbation::default()
+                    },
+                )
             });
             add(&around.collect::<Result<Vec<_>>>()?);
         }
+        let none = Perturbation::default;
         if errors.scale > 0.0 {
-            add(&self.both_ways(mean, errors.scale, |facts, _, by| {
-                facts.pixel_mm *= 1.0 + by;
-            })?);
+            let scaled = |scale| Perturbation { scale, ..none() };
+            add(&self.both_ways(mean, errors.scale, scaled)?);
         }
         let pose = &errors.pose;
         if pose.rotation_deg > 0.0 {
-            let by = pose.rotation_deg.to_radians();
-            add(&self.both_ways(mean, by, |_, pose, by| pose.rotation += by)?);
+            let turned = |rotation| Perturbation { rotation, ..none() };
+            add(&self.both_ways(mean, pose.rotation_deg.to_radians(), turned)?);
         }
         if pose.height_mm > 0.0 {
-            let sin = self.configuration.camera.theta.sin();
-            add(&self.both_ways(mean, pose.height_mm, |facts, _, by| {
-                facts.center_px[1] -= by * sin / facts.pixel_mm;
-            })?);
+            let raised = |height_mm| Perturbation {
+                height_mm,
+                ..none()
+            };
+            add(&self.both_ways(mean, pose.height_mm, raised)?);
         }
         if pose.camera_theta_deg > 0.0 {
             let by = pose.camera_theta_deg.to_radians();
             let theta = self.configuration.camera.theta;
             // Toward the horizon there may be no room.
             let by = by.min(0.5 * (std::f64::consts::FRAC_PI_2 - theta));
-            let moved = self.both_ways(mean, by, |_, pose, by| pose.camera.theta += by)?;
+            let tilted = |camera_theta| Perturbation {
+                camera_theta,
+                ..none()
+            };
+            let moved = self.both_ways(mean, by, tilted)?;
             let [up, down] = moved;
             let slope = mean.map(|m| m * camera * by);
             // The crop is laid for the stated angle; at the true one it shows the brighter (or fainter) cloth.
@@ -142,27 +150,21 @@ impl Movable<'_> {
         &self,
         mean: [f64; 3],
         by: f64,
-        act: impl Fn(&mut CameraFacts, &mut Configuration, f64),
+        errors: impl Fn(f64) -> Perturbation,
     ) -> Result<[[f64; 3]; 2]> {
         Ok([
-            self.change(mean, |facts, pose| act(facts, pose, by))?,
-            self.change(mean, |facts, pose| act(facts, pose, -by))?,
+            self.change(mean, &errors(by))?,
+            self.change(mean, &errors(-by))?,
         ])
     }
 
     /// How much the mean over the moved crop differs from the mean over the crop.
-    fn change(
-        &self,
-        mean: [f64; 3],
-        act: impl FnOnce(&mut CameraFacts, &mut Configuration),
-    ) -> Result<[f64; 3]> {
+    fn change(&self, mean: [f64; 3], errors: &Perturbation) -> Result<[f64; 3]> {
         if self.rule != CropRule::Square {
             // A box of the image stays where it is.
             return Ok([0.0; 3]);
         }
-        let (mut facts, mut pose) = (self.camera.clone(), *self.configuration);
-        act(&mut facts, &mut pose);
-        let moved = Projection::new(&facts, &pose)
+        let moved = Projection::perturbed(self.camera, self.configuration, errors)
             .coverage(self.side_mm)
             .context(|| "when moved by the uncertainty of pose and pointing")?;
         let (mut change, mut gained) = ([0.0; 3], 0.0);

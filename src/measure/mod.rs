@@ -35,6 +35,7 @@ pub use judge::FrameJudge;
 pub use lamp::{LampReport, LampVisit};
 pub use noise::NoiseReport;
 pub use picture::{Picture, Unviewed, Viewer};
+pub use reading::Footprint;
 pub use report::{Budget, Condition, ConfigurationReport, CropRule, MeasureOptions, MeasureReport};
 pub use run::{measure_session, measure_viewed};
 pub use statistics::{ChannelStatistics, Crop, FrameStatistics, frame_statistics};

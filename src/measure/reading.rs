@@ -52,17 +52,20 @@ pub(super) struct Exposure {
 }
 
 /// Where a configuration's mean is taken.
-pub(super) struct Crop {
-    pub(super) coverage: Coverage,
-    pub(super) corners: Vec<[f64; 2]>,
+#[derive(Debug, Clone, PartialEq)]
+pub struct Footprint {
+    /// Pixels and how much of each counts.
+    pub coverage: Coverage,
+    /// Corners in pixels of the visible area, in order around it.
+    pub corners: Vec<[f64; 2]>,
 }
 
-impl Crop {
-    /// The crop of a configuration.
+impl Footprint {
+    /// The crop of a configuration; `side_mm` is the side of the sample square.
     ///
     /// # Errors
     /// It leaves the image, or covers less than one pixel.
-    pub(super) fn of(
+    pub fn of(
         rule: CropRule,
         camera: &CameraFacts,
         configuration: &Configuration,
@@ -73,7 +76,7 @@ impl Crop {
                 let projection = Projection::new(camera, configuration);
                 Ok(Self {
                     coverage: projection.coverage(side_mm)?,
-                    corners: projection.quadrilateral(side_mm).to_vec(),
+                    corners: projection.outline(side_mm),
                 })
             }
             CropRule::Rectangle(c) => {
@@ -127,7 +130,7 @@ impl Reader<'_> {
     ///
     /// # Errors
     /// As [`read_stacks`]; or the crop leaves the image when it is moved by its uncertainty.
-    pub(super) fn read(&self, configuration: &Configuration, crop: &Crop) -> Result<Reading> {
+    pub(super) fn read(&self, configuration: &Configuration, crop: &Footprint) -> Result<Reading> {
         let own = |f: &&Taken| {
             f.record.kind == FrameKind::Sample && f.record.config == Some(configuration.id)
         };
@@ -186,7 +189,7 @@ impl Reader<'_> {
         merged: &Merged,
         stacks: &[Stack],
         target: &Target<'_>,
-        crop: &Crop,
+        crop: &Footprint,
     ) -> Result<()> {
         let flat = Flat::of(
             self.options.calibrations.flat.as_ref().map(|f| &f.value),
@@ -272,7 +275,7 @@ impl Exposure {
     }
 }
 
-fn saturated(merged: &Merged, shortest: &Stack, weights: &Weights, crop: &Crop) -> String {
+fn saturated(merged: &Merged, shortest: &Stack, weights: &Weights, crop: &Footprint) -> String {
     let [left, top, right, bottom] = crop.coverage.bounds();
     let pixels = weights.values().count();
     format!(

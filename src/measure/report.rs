@@ -6,6 +6,7 @@ use super::checks::CropChecks;
 use super::lamp::LampReport;
 use super::noise::NoiseReport;
 use super::white::WhiteReport;
+use crate::session::CameraFacts;
 use serde::Serialize;
 
 /// Where the mean is taken.
@@ -49,6 +50,19 @@ impl Default for MeasureOptions {
             pose: None,
             color: false,
         }
+    }
+}
+
+impl MeasureOptions {
+    /// The session's camera with the scale, pointing and lens a calibration found.
+    pub fn camera(&self, camera: &CameraFacts) -> CameraFacts {
+        let mut camera = camera.clone();
+        if let Some(geometry) = self.calibrations.geometry.as_ref().map(|g| &g.value) {
+            camera.pixel_mm = geometry.pixel_mm;
+            camera.center_px = geometry.center_px;
+            camera.lens = geometry.lens;
+        }
+        camera
     }
 }
 

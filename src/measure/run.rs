@@ -9,7 +9,7 @@ use super::geometry::GeometryErrors;
 use super::lamp::Lamp;
 use super::linear::Response;
 use super::noise::{self, Cell, NoiseReport, Scatter};
-use super::reading::{Crop, Reader, Reading};
+use super::reading::{Footprint, Reader, Reading};
 use super::reduce::Reducer;
 use super::repeat::{Deviation, between_frames, deviations};
 use super::report::{MeasureOptions, MeasureReport};
@@ -79,7 +79,7 @@ pub fn measure_viewed(
         frames: &frames,
         loader: &loader,
         viewer,
-        camera: calibrated(&manifest.camera, known),
+        camera: options.camera(&manifest.camera),
     };
     work.measure()
 }
@@ -101,16 +101,16 @@ impl Work<'_> {
         self.frames.iter().filter(of_kind).collect()
     }
 
-    fn crop(&self, configuration: &Configuration) -> Result<Crop> {
+    fn crop(&self, configuration: &Configuration) -> Result<Footprint> {
         let side_mm = self.manifest.sample_square_mm;
-        Crop::of(self.options.crop, &self.camera, configuration, side_mm)
+        Footprint::of(self.options.crop, &self.camera, configuration, side_mm)
     }
 
     fn measure(&self) -> Result<(Measurements, MeasureReport)> {
         let options = self.options;
         let known = &options.calibrations;
         let configurations = &self.plan.configurations;
-        let crops: Vec<Crop> = configurations
+        let crops: Vec<Footprint> = configurations
             .iter()
             .map(|c| self.crop(c))
             .collect::<Result<_>>()?;
@@ -411,17 +411,6 @@ impl Work<'_> {
         }
         warnings
     }
-}
-
-/// The camera with the scale, pointing and lens a calibration found.
-fn calibrated(camera: &CameraFacts, known: &Calibrations) -> CameraFacts {
-    let mut camera = camera.clone();
-    if let Some(geometry) = known.geometry.as_ref().map(|g| &g.value) {
-        camera.pixel_mm = geometry.pixel_mm;
-        camera.center_px = geometry.center_px;
-        camera.lens = geometry.lens;
-    }
-    camera
 }
 
 /// The headers of the calibrations that are used.

@@ -1,10 +1,12 @@
-//! Tables, charts, pictures and the HTML page of a fit.
+//! Tables, charts, pictures and the HTML pages of a fit and of a measurement.
 //!
 //! Lays out what it is given and computes nothing. A page is one file: style and charts are inline, no script runs,
 //! nothing is loaded from elsewhere.
 
 mod charts;
 mod html;
+pub mod linear_picture;
+pub mod measurement;
 mod page;
 pub mod preview;
 mod svg;

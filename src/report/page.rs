@@ -77,7 +77,7 @@ impl Picture {
     }
 }
 
-const STYLE: &str = "\
+pub(super) const STYLE: &str = "\
 :root{color-scheme:light dark;--paper:#fbfaf8;--ink:#1f2328;--soft:#646b73;--line:#dcd9d3;--panel:#fff;--accent:#2f5d8a;
 --r:#c8342b;--g:#2b8a3e;--b:#2f62d9;--warn:#8a4b00;--warnback:#fff1d6;--good:#20653a;--goodback:#e4f4e8}
 @media(prefers-color-scheme:dark){:root{--paper:#16181b;--ink:#e4e6e8;--soft:#9aa2ab;--line:#34383d;--panel:#1d2024;
@@ -183,22 +183,29 @@ pub fn page(result: &FitResult, provenance: &Provenance) -> String {
         body += &extra(section);
     }
     body += &wide("How this was made", &facts(result, provenance));
-    let title = escape(&title);
+    document(&title, STYLE, &body)
+}
+
+/// A whole file around the body's markup.
+pub(super) fn document(title: &str, style: &str, body: &str) -> String {
+    let title = escape(title);
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
-         <style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{body}</main>\n</body>\n</html>\n"
+         <style>\n{style}</style>\n</head>\n<body>\n<main>\n{body}</main>\n</body>\n</html>\n"
     )
 }
 
-fn wide(title: &str, content: &str) -> String {
+/// A section as wide as the page.
+pub(super) fn wide(title: &str, content: &str) -> String {
     format!(
         "<section class=\"wide\">\n<h2>{}</h2>\n{content}</section>\n",
         escape(title)
     )
 }
 
-fn chart(title: &str, svg: &str, caption: &str) -> String {
+/// A section with a drawing.
+pub(super) fn chart(title: &str, svg: &str, caption: &str) -> String {
     format!(
         "<section>\n<h2>{}</h2>\n<figure>\n{svg}<figcaption>{}</figcaption>\n</figure>\n</section>\n",
         escape(title),

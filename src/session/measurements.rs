@@ -2,8 +2,11 @@
 
 use super::files;
 use super::plan::{Configuration, ConfigurationRow, check_ids};
+use super::quantity::Quantity;
+use super::record::MeasurementRecord;
 use crate::base::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
 use std::path::Path;
 
 /// The mean intensity of the sample square in one configuration: normalized radiance `M = pi L / E_normal` in r, g, b,
@@ -75,18 +78,7 @@ impl Row {
         .checked()?;
         let mean = [self.r, self.g, self.b];
         let standard_error = [self.r_se, self.g_se, self.b_se];
-        for (name, value) in ["r", "g", "b", "r_se", "g_se", "b_se"]
-            .iter()
-            .zip(mean.iter().chain(&standard_error))
-        {
-            if !(0.0..1e6).contains(value) {
-                return Err(Error::new(format!(
-                    "configuration {}: {name} is {value}, expected a finite number >= 0",
-                    self.config
-                ))
-                .with_hint("intensities are normalized radiance, pi L / E_normal; leave out a configuration that was not measured"));
-            }
-        }
+        check_numbers(self.config, mean, standard_error)?;
         Ok(Intensity {
             configuration,
             mean,
@@ -95,16 +87,50 @@ impl Row {
     }
 }
 
+/// Fails on a number that cannot be an intensity or its standard error.
+pub(super) fn check_numbers(config: u32, mean: [f64; 3], standard_error: [f64; 3]) -> Result<()> {
+    for (name, value) in ["r", "g", "b", "r_se", "g_se", "b_se"]
+        .iter()
+        .zip(mean.iter().chain(&standard_error))
+    {
+        if !(0.0..1e6).contains(value) {
+            return Err(Error::new(format!(
+                "configuration {config}: {name} is {value}, expected a finite number >= 0"
+            ))
+            .with_hint("intensities are normalized radiance, pi L / E_normal; leave out a configuration that was not measured"));
+        }
+    }
+    Ok(())
+}
+
 impl Measurements {
     /// Reads and checks `measurements.csv` (columns `config, light_theta_deg, light_phi_deg, camera_theta_deg,
-    /// camera_phi_deg, rotation_deg, r, g, b, r_se, g_se, b_se`, by name, in any order).
+    /// camera_phi_deg, rotation_deg, r, g, b, r_se, g_se, b_se`, by name, in any order), or `measurements.json`
+    /// ([`super::MeasurementRecord`]), which begins with a brace. A table of another quantity says so in a comment
+    /// (`# quantity: brdf`) and is converted back.
     ///
     /// # Errors
     /// The file cannot be read, a column or number is missing, an id is repeated, an angle is out of range, or an
     /// intensity is negative or not finite.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::from_csv(&files::read_text(path)?)
-            .context(|| format!("measurements {}", path.display()))
+        Ok(Self::read_with_origin(path)?.0)
+    }
+
+    /// As [`Measurements::read`]; also what the file says of its origin: true when no camera saw any cloth, none when it
+    /// does not say.
+    ///
+    /// # Errors
+    /// As [`Measurements::read`].
+    pub fn read_with_origin(path: &Path) -> Result<(Self, Option<bool>)> {
+        let text = files::read_text(path)?;
+        let what = || format!("measurements {}", path.display());
+        if text.trim_start().starts_with('{') {
+            let record = MeasurementRecord::from_json(&text).context(what)?;
+            return Ok((record.measurements().context(what)?, Some(record.synthetic)));
+        }
+        let measurements = Self::from_csv(&text).context(what)?;
+        let synthetic = comments(&text).any(|c| c == "synthetic");
+        Ok((measurements, synthetic.then_some(true)))
     }
 
     /// Parses and checks the text of a `measurements.csv`; see [`Measurements::read`].
@@ -112,6 +138,9 @@ impl Measurements {
     /// # Errors
     /// As [`Measurements::read`].
     pub fn from_csv(text: &str) -> Result<Self> {
+        let stated = comments(text).find_map(|c| c.strip_prefix("quantity:"));
+        let quantity = stated.map(|q| q.split(',').next().unwrap_or(q).trim());
+        let quantity = Quantity::named(quantity.unwrap_or(Quantity::default().name()))?;
         let mut reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
             .comment(Some(b'#'))
@@ -119,21 +148,52 @@ impl Measurements {
         let mut intensities = Vec::new();
         for (i, row) in reader.deserialize::<Row>().enumerate() {
             let row = row.context(|| format!("row {}", i + 1))?;
-            intensities.push(row.checked().context(|| format!("row {}", i + 1))?);
+            let mut found = row.checked().context(|| format!("row {}", i + 1))?;
+            let factor = quantity.factor(&found.configuration);
+            if quantity != Quantity::NormalizedRadiance {
+                found.mean = found.mean.map(|m| m / factor);
+                found.standard_error = found.standard_error.map(|s| s / factor);
+            }
+            intensities.push(found);
         }
         check_ids(intensities.iter().map(|i: &Intensity| i.configuration.id))?;
         Ok(Self { intensities })
     }
 
-    /// The text of `measurements.csv`; numbers round-trip exactly.
+    /// The text of `measurements.csv`, without comments; numbers round-trip exactly.
     ///
     /// # Errors
     /// Only if the CSV writer fails.
     pub fn to_csv(&self) -> Result<String> {
+        self.rows(Quantity::NormalizedRadiance)
+    }
+
+    /// As [`Measurements::to_csv`], in any quantity, with comments that say which, and whether it is synthetic.
+    ///
+    /// # Errors
+    /// Only if the CSV writer fails.
+    pub fn to_stated_csv(&self, quantity: Quantity, synthetic: bool) -> Result<String> {
+        let flag = if synthetic { "# synthetic\n" } else { "" };
+        Ok(format!(
+            "{flag}# quantity: {}, unit {}\n# {}; columns _se: standard errors (one standard deviation)\n{}",
+            quantity.name(),
+            quantity.unit(),
+            quantity.definition(),
+            self.rows(quantity)?
+        ))
+    }
+
+    fn rows(&self, quantity: Quantity) -> Result<String> {
         let mut writer = csv::Writer::from_writer(Vec::new());
         for intensity in &self.intensities {
+            let (mean, standard_error) = quantity.of(intensity);
+            let row = Intensity {
+                mean,
+                standard_error,
+                ..*intensity
+            };
             writer
-                .serialize(Row::from(intensity))
+                .serialize(Row::from(&row))
                 .context(|| "measurements cannot be written as CSV")?;
         }
         let bytes = writer
@@ -146,6 +206,32 @@ impl Measurements {
     pub fn configurations(&self) -> Vec<Configuration> {
         self.intensities.iter().map(|i| i.configuration).collect()
     }
+}
+
+/// An azimuth in 0 <= azimuth < 2 pi; what rounding leaves just below a full turn is 0.
+pub(super) fn tidy_azimuth(phi: f64) -> f64 {
+    let turn = 2.0 * PI;
+    let phi = phi.rem_euclid(turn);
+    if phi > turn - 1e-9 { 0.0 } else { phi }
+}
+
+/// Polar angle and azimuth toward the light, then toward the camera, radians, in the sample frame.
+pub(super) fn sample_angles(configuration: &Configuration) -> [f64; 4] {
+    let light = configuration.light_in_sample();
+    let camera = configuration.camera_in_sample();
+    [
+        light.theta,
+        tidy_azimuth(light.phi),
+        camera.theta,
+        tidy_azimuth(camera.phi),
+    ]
+}
+
+/// The texts of a file's comment lines.
+fn comments(text: &str) -> impl Iterator<Item = &str> {
+    text.lines()
+        .filter_map(|l| l.trim_start().strip_prefix('#'))
+        .map(str::trim)
 }
 
 #[cfg(test)]
@@ -161,6 +247,35 @@ mod tests {
         let text = m.to_csv().unwrap();
         assert!(text.starts_with(HEAD), "{text}");
         assert_eq!(Measurements::from_csv(&text).unwrap(), m);
+    }
+
+    #[test]
+    fn every_quantity_reads_back_as_normalized_radiance() {
+        let m = Measurements::from_csv(&format!("{HEAD}{ROW}")).unwrap();
+        let cos = 80_f64.to_radians().cos();
+        for (quantity, r) in [
+            (Quantity::NormalizedRadiance, 0.123_456_789_012_345_68),
+            (Quantity::RadianceFactor, 0.123_456_789_012_345_68 / cos),
+            (
+                Quantity::Brdf,
+                0.123_456_789_012_345_68 / (std::f64::consts::PI * cos),
+            ),
+        ] {
+            let text = m.to_stated_csv(quantity, true).unwrap();
+            let head = format!("# synthetic\n# quantity: {}, unit ", quantity.name());
+            assert!(text.starts_with(&head), "{text}");
+            let plain = text.replace("quantity:", "");
+            let written = Measurements::from_csv(&plain).unwrap().intensities[0];
+            assert!((written.mean[0] / r - 1.0).abs() < 1e-12, "{text}");
+            let back = Measurements::from_csv(&text).unwrap().intensities[0];
+            for k in 0..3 {
+                assert!((back.mean[k] / m.intensities[0].mean[k] - 1.0).abs() < 1e-12);
+                let se = m.intensities[0].standard_error[k];
+                assert!((back.standard_error[k] / se - 1.0).abs() < 1e-12);
+            }
+        }
+        let error = Measurements::from_csv(&format!("# quantity: btdf, unit 1\n{HEAD}{ROW}"));
+        assert!(error.unwrap_err().report().contains("'btdf'"));
     }
 
     #[test]

@@ -10,8 +10,12 @@
 //! journal.jsonl       append-only, one fsynced line per event; a torn last line is tolerated
 //! frames/             the camera's files, never overwritten
 //! measurements.csv    the intensities, once measured
+//! measurements.json   the same with everything known about them
 //! ```
 
+mod alta;
+mod astm;
+mod brdf_tables;
 pub mod dng;
 pub mod files;
 pub mod frame_tiff;
@@ -21,8 +25,14 @@ mod manifest;
 mod measurements;
 mod plan;
 mod projection;
+pub mod protocols;
+mod quantity;
+mod record;
 mod tiff_directory;
 
+pub use alta::alta_text;
+pub use astm::{astm_standard_errors, astm_text};
+pub use brdf_tables::{BrdfTable, brdf_tables};
 pub use dng::{BitDepth, CfaPattern, DngImage, write_dng};
 pub use files::sha256;
 pub use frame_tiff::{TiffImage, write_tiff};
@@ -32,3 +42,7 @@ pub use manifest::{CameraFacts, Lens, Manifest, Provenance, SessionFolder, White
 pub use measurements::{Intensity, Measurements};
 pub use plan::{Configuration, Plan};
 pub use projection::{Coverage, Perturbation, Projection, RowSpan};
+pub use quantity::Quantity;
+pub use record::{
+    CalibrationUsed, LampPoint, MeasurementRecord, RecordedConfiguration, SessionStamp,
+};
