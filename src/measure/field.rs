@@ -13,23 +13,22 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// The box around some crops with a margin, inside frames of this size.
-    pub(super) fn around<'a>(
-        crops: impl IntoIterator<Item = &'a Coverage>,
+    /// The box around some boxes with a margin, inside frames of this size.
+    pub(super) fn around(
+        boxes: impl IntoIterator<Item = [usize; 4]>,
         margin: usize,
         [width, height]: [usize; 2],
         layout: Layout,
     ) -> Self {
         let start = [usize::MAX, usize::MAX, 0, 0];
-        let [left, top, right, bottom] =
-            crops.into_iter().map(Coverage::bounds).fold(start, |a, b| {
-                [
-                    a[0].min(b[0]),
-                    a[1].min(b[1]),
-                    a[2].max(b[2]),
-                    a[3].max(b[3]),
-                ]
-            });
+        let [left, top, right, bottom] = boxes.into_iter().fold(start, |a, b| {
+            [
+                a[0].min(b[0]),
+                a[1].min(b[1]),
+                a[2].max(b[2]),
+                a[3].max(b[3]),
+            ]
+        });
         Self {
             bounds: [
                 left.saturating_sub(margin).min(width),

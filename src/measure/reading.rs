@@ -130,14 +130,16 @@ impl Reader<'_> {
     ///
     /// # Errors
     /// As [`read_stacks`]; or the crop leaves the image when it is moved by its uncertainty.
-    pub(super) fn read(&self, configuration: &Configuration, crop: &Footprint) -> Result<Reading> {
+    pub(super) fn read(&self, configuration: &Configuration) -> Result<Reading> {
+        let crop = Footprint::of(self.options.crop, self.camera, configuration, self.side_mm)?;
+        let crop = &crop;
         let own = |f: &&Taken| {
             f.record.kind == FrameKind::Sample && f.record.config == Some(configuration.id)
         };
         let own: Vec<&Taken> = self.frames.iter().filter(own).collect();
         let field = &self.darks.field;
         let size = [self.camera.width, self.camera.height];
-        let window = Window::around([&crop.coverage], self.margin, size, field.layout);
+        let window = Window::around([crop.coverage.bounds()], self.margin, size, field.layout);
         let hot = self.darks.hot_on(&window);
         let weights = Weights::covered(&crop.coverage, &window, &hot);
         let target = Target {

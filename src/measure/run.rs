@@ -110,10 +110,12 @@ impl Work<'_> {
         let options = self.options;
         let known = &options.calibrations;
         let configurations = &self.plan.configurations;
-        let crops: Vec<Footprint> = configurations
-            .iter()
-            .map(|c| self.crop(c))
-            .collect::<Result<_>>()?;
+        // Only their boxes are kept: there may be thousands.
+        let boxes: Vec<Result<[usize; 4]>> = configurations
+            .par_iter()
+            .map(|c| Ok(self.crop(c)?.coverage.bounds()))
+            .collect();
+        let boxes = boxes.into_iter().collect::<Result<Vec<_>>>()?;
         let reference = self.white_reference()?;
         let reference_crop = self
             .crop(&reference.configuration)
@@ -123,7 +125,8 @@ impl Work<'_> {
         let around = MARGIN.max((SURROUNDINGS * side_px) as usize);
         let margin = around + errors.margin(&self.camera, self.manifest.sample_square_mm);
         let size = [self.camera.width, self.camera.height];
-        let all = crops.iter().chain([&reference_crop]).map(|c| &c.coverage);
+        let reference_box = reference_crop.coverage.bounds();
+        let all = boxes.into_iter().chain([reference_box]);
         let field = Window::around(all, margin, size, self.loader.layout(self.frames)?);
         let mut darks = Darks::read(
             self.loader,
@@ -138,7 +141,7 @@ impl Work<'_> {
             darks.leave_out_blind(&flat);
         }
 
-        let on_reference = Window::around([&reference_crop.coverage], margin, size, field.layout);
+        let on_reference = Window::around([reference_box], margin, size, field.layout);
         let hot = darks.hot_on(&on_reference);
         let reference_weights = Weights::covered(&reference_crop.coverage, &on_reference, &hot);
         let reference_target = Target {
@@ -199,8 +202,8 @@ impl Work<'_> {
             options,
             viewer: self.viewer,
         };
-        let read = configurations.par_iter().zip(&crops);
-        let read: Vec<Result<Reading>> = read.map(|(c, crop)| reader.read(c, crop)).collect();
+        let read = configurations.par_iter().map(|c| reader.read(c));
+        let read: Vec<Result<Reading>> = read.collect();
         let readings = read.into_iter().collect::<Result<Vec<_>>>()?;
 
         cells.extend(readings.iter().flat_map(|r| &r.cells));
@@ -233,11 +236,13 @@ impl Work<'_> {
             reports.push(report);
         }
         let scatter = reducer.scatter;
+        let own_slope = noise::slope(&cells);
         let mut warnings = self.warnings(&darks, &noise, &white, &scatter, between);
         let lit = self
             .frames
             .iter()
             .filter(|f| f.record.kind != FrameKind::Dark);
+        warnings.extend(own_slope.and_then(|own| gain_changed(own, &noise)));
         warnings.extend(lamp.warnings(lit.map(|f| f.moment)));
         let sharpness = |r: &Reading| {
             let sharpness = r.checks.as_ref().and_then(|c| c.focus.sharpness);
@@ -452,6 +457,20 @@ fn check_calibrations(known: &Calibrations, manifest: &Manifest) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Told when the session's own frames scatter otherwise than the photon transfer that was calibrated.
+fn gain_changed((slope, se): (f64, f64), noise: &NoiseReport) -> Option<String> {
+    let known = noise.variance_per_signal;
+    let (low, high) = known
+        .iter()
+        .fold((f64::MAX, 0.0_f64), |(l, h), &k| (l.min(k), h.max(k)));
+    let changed = !(0.9 * low - 4.0 * se..=1.1 * high + 4.0 * se).contains(&slope);
+    (noise.source == "calibration" && changed).then(|| {
+        format!(
+            "the session's own frames have {slope:.3} +- {se:.3} (raw value)^2 of shot noise per raw value where the linearity calibration has {low:.3} to {high:.3}: was it made at another ISO?"
+        )
+    })
 }
 
 fn nothing_left(report: &MeasureReport) -> Error {

@@ -195,9 +195,8 @@ pub(super) fn read_stacks(
     }
     for stack in &mut stacks {
         stack.level = lamp.level(&stack.moments);
-        let clipped = |v: &&(usize, super::field::Weighted)| stack.clipped[v.1.index];
-        let crop: Vec<_> = target.weights.values().collect();
-        stack.clipped_in_crop = crop.iter().filter(clipped).count();
+        let crop = target.weights.values();
+        stack.clipped_in_crop = crop.filter(|(_, v)| stack.clipped[v.index]).count();
         if stack.clipped_in_crop == 0
             && let Some(error) = stack.without_dark.take()
         {
