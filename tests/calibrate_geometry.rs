@@ -434,3 +434,47 @@ fn views_too_grazing_for_the_squares_are_listed() {
         made.warnings
     );
 }
+
+#[test]
+fn the_command_writes_a_file_that_reads_back() {
+    let mut scene = Scene::new(seed(15));
+    scene.thetas = vec![0.0, 45.0];
+    let folder = folder();
+    let session = folder.path().join("s");
+    scene.record(&session);
+    let out = folder.path().join("calibration");
+    let run = assert_cmd::Command::cargo_bin("goniofit")
+        .unwrap()
+        .args([
+            "calibrate",
+            "geometry",
+            "--corners",
+            "5x5",
+            "--square-mm",
+            "1.6",
+        ])
+        .args(["--camera-theta-error-deg", "0.05", "--out"])
+        .args([&out, &session])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&run.stdout);
+    assert_eq!(
+        run.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
+    assert!(
+        text.contains("pixel_mm") && text.contains("turntable deg"),
+        "{text}"
+    );
+    let found = Calibrations::read(&out.join("virtual"))
+        .unwrap()
+        .geometry
+        .unwrap();
+    assert!(
+        (found.value.pixel_mm / 0.05 - 1.0).abs() < 1e-3,
+        "{found:?}"
+    );
+    assert!((found.value.pose.camera_theta_deg - 0.05).abs() < 1e-12);
+}
