@@ -11,7 +11,10 @@ use goniofit::measure::calibrate::{Calibrated, ColorOptions, ColorReport, color}
 use goniofit::measure::calibration::{
     Calibrations, ColorMatrix, Dated, Header, Kind, Linearity, PhotonTransfer,
 };
-use goniofit::session::{CameraFacts, CfaPattern, Configuration, FrameKind, Projection};
+use goniofit::session::{
+    CameraFacts, CfaPattern, Configuration, FrameKind, Projection, SessionFolder,
+};
+use std::path::Path;
 
 const MATRIX: [[f64; 3]; 3] = [
     [1.62, -0.51, -0.09],
@@ -143,7 +146,8 @@ impl Setup {
         raw.collect()
     }
 
-    fn run(&self, known: &Calibrations) -> Result<(Calibrated<ColorMatrix>, ColorReport)> {
+    /// Records the session as `s`, and the chart's file as `chart.csv`.
+    fn record(&self, folder: &Path) -> SessionFolder {
         let (camera, pose) = (Self::camera(), Self::pose());
         let white = Configuration { id: 0, ..pose };
         let manifest = manifest(camera.clone(), white);
@@ -184,12 +188,16 @@ impl Setup {
                 }
             }
         }
+        let session = record(&folder.join("s"), &manifest, &[pose], &frames);
+        std::fs::write(folder.join("chart.csv"), self.chart()).unwrap();
+        session
+    }
+
+    fn run(&self, known: &Calibrations) -> Result<(Calibrated<ColorMatrix>, ColorReport)> {
         let folder = folder();
-        let session = record(&folder.path().join("s"), &manifest, &[pose], &frames);
-        let path = folder.path().join("chart.csv");
-        std::fs::write(&path, self.chart()).unwrap();
+        let session = self.record(folder.path());
         let options = ColorOptions {
-            chart: path,
+            chart: folder.path().join("chart.csv"),
             space: "srgb".to_owned(),
         };
         color(&session, known, &options, &Unwatched)
@@ -348,4 +356,33 @@ fn charts_that_make_no_matrix_are_refused() {
     );
     assert!(error(&text.replace("width_mm", "size")).contains("columns:"));
     assert!(error(&text).contains("no chart frames"), "{}", error(&text));
+}
+
+#[test]
+fn the_command_writes_a_file_that_reads_back() {
+    let folder = folder();
+    Setup::new(seed(11)).record(folder.path());
+    let run = assert_cmd::Command::cargo_bin("goniofit")
+        .unwrap()
+        .current_dir(folder.path())
+        .args(["calibrate", "color", "s", "--chart", "chart.csv"])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&run.stdout);
+    assert_eq!(
+        run.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
+    assert!(
+        text.contains("color difference") && text.contains("p11"),
+        "{text}"
+    );
+    let found = Calibrations::read(&folder.path().join("calibration/virtual")).unwrap();
+    let found = found.color.unwrap().value;
+    assert!(
+        (found.matrix[0][0] - MATRIX[0][0]).abs() < 0.05,
+        "{found:?}"
+    );
 }

@@ -1,5 +1,7 @@
 //! `goniofit calibrate`: what is known of the rig's camera, lens, lamp and white standard, from recorded sessions.
 
+use super::calibrate_color::ColorArguments;
+use super::calibrate_geometry::GeometryArguments;
 use super::output::data;
 use super::terminal::Terminal;
 use super::{Outcome, inputs, measure::quiet_decoder_panics};
@@ -18,7 +20,8 @@ use std::path::PathBuf;
 #[derive(Args)]
 #[command(
     after_help = "Each subcommand reads one session and writes one dated file into OUT/RIG; docs/calibration.md says how to
-shoot each. In this order, as later ones use what earlier ones found: dark, linearity, flat, white; drift at any time.
+shoot each. In this order, as later ones use what earlier ones found: dark, linearity, flat, white, geometry,
+color; drift at any time.
 Exit code 1 when a result is out of tolerance: the file is written, with a warning.
 
 Examples:
@@ -26,7 +29,9 @@ Examples:
   goniofit calibrate linearity sessions/series
   goniofit calibrate flat sessions/flats --uniformity-se 0.2%
   goniofit calibrate white sessions/white --panel 'Spectralon 12345' --table panel.csv
-  goniofit calibrate drift sessions/warm-up"
+  goniofit calibrate drift sessions/warm-up
+  goniofit calibrate geometry sessions/board --corners 9x9 --square-mm 1
+  goniofit calibrate color sessions/chart --chart chart.csv"
 )]
 pub(crate) struct Arguments {
     #[command(subcommand)]
@@ -40,12 +45,13 @@ enum What {
     Flat(FlatArguments),
     White(WhiteArguments),
     Drift(DriftArguments),
-    // Geometry and color go here.
+    Geometry(GeometryArguments),
+    Color(ColorArguments),
 }
 
 /// What all calibrations are given.
 #[derive(Args)]
-struct Common {
+pub(super) struct Common {
     /// Session folder (holds session.json)
     session: PathBuf,
     /// Folder of all rigs' calibrations; the file goes to its subfolder RIG
@@ -188,21 +194,22 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
         What::Flat(a) => flat(&a),
         What::White(a) => white(&a),
         What::Drift(a) => drift(&a),
-        // Geometry and color go here.
+        What::Geometry(a) => super::calibrate_geometry::run(&a),
+        What::Color(a) => super::calibrate_color::run(&a),
     }
 }
 
 /// One calibration under way.
-struct Work<'a> {
+pub(super) struct Work<'a> {
     common: &'a Common,
-    session: SessionFolder,
+    pub(super) session: SessionFolder,
     folder: PathBuf,
-    known: Calibrations,
-    terminal: Terminal,
+    pub(super) known: Calibrations,
+    pub(super) terminal: Terminal,
 }
 
 impl<'a> Work<'a> {
-    fn begin(common: &'a Common) -> Result<Self> {
+    pub(super) fn begin(common: &'a Common) -> Result<Self> {
         let session = inputs::session(&common.session)?;
         let folder = common.out.join(session.manifest()?.rig);
         let known = match &common.calibration {
@@ -221,7 +228,11 @@ impl<'a> Work<'a> {
     }
 
     /// Says what is to be said, writes the file, prints it or its table.
-    fn end<T: Value>(&self, mut made: Calibrated<T>, table: fn(&T)) -> Result<Outcome> {
+    pub(super) fn end<T: Value>(
+        &self,
+        mut made: Calibrated<T>,
+        table: impl FnOnce(&T),
+    ) -> Result<Outcome> {
         if made.dated.header.synthetic {
             self.terminal
                 .say("synthetic session: no camera saw anything");

@@ -14,6 +14,8 @@ mod screen;
 mod terminal;
 
 mod calibrate;
+mod calibrate_color;
+mod calibrate_geometry;
 mod capture;
 mod crops;
 mod demo;

@@ -1,13 +1,13 @@
 //! The camera that sees a checkerboard's corners where they were found, in all poses at once.
 //!
 //! Gauss-Newton over scale, pointing, lens and the board's own place on the turntable. Beside these every pose has an
-//! offset of the whole image, drawn from a normal law of unknown variance: what a camera arm does not repeat. That variance
+//! offset of its pointing, drawn from a normal law of unknown variance: what a camera arm does not repeat. That variance
 //! is estimated along (restricted maximum likelihood, by expectation and maximization), so corners of one pose do not count
 //! as independent of each other where they are not.
 
 use super::corners::Corner;
 use super::least_squares::{Normal, Solution};
-use crate::session::{CameraFacts, Configuration, Projection};
+use crate::session::{CameraFacts, Configuration, Perturbation, Projection};
 
 /// What is fitted, in the order of [`Camera::values`].
 pub(super) const NAMES: [&str; PARAMETERS] = [
@@ -96,9 +96,18 @@ impl Camera {
         ]
     }
 
-    /// From the board (squares from the middle of the inner corners) to the image.
-    pub(super) fn view(&self, pose: &Configuration) -> impl Fn([f64; 2]) -> [f64; 2] + use<> {
-        let projection = Projection::new(&self.facts(), pose);
+    /// From the board (squares from the middle of the inner corners) to the image, in a pose in which the camera points
+    /// so far (pixels) beside where it should.
+    pub(super) fn view(
+        &self,
+        pose: &Configuration,
+        shift_px: [f64; 2],
+    ) -> impl Fn([f64; 2]) -> [f64; 2] + use<> {
+        let errors = Perturbation {
+            shift_px,
+            ..Perturbation::default()
+        };
+        let projection = Projection::perturbed(&self.facts(), pose, &errors);
         let camera = self.clone();
         move |place| projection.to_pixel(camera.on_sample(place))
     }
@@ -204,19 +213,22 @@ pub(super) fn fit(camera: &Camera, poses: &[Pose], hold: &[usize]) -> Option<Fit
             work.camera.values[k] = 0.0;
         }
     }
-    let mut solution = None;
     for round in 0..60 {
         let found = work.normal(None).solve()?;
         let moved = work.step(&found);
         let before = work.pointing;
         work.weigh(&found);
-        solution = Some(found);
         let settled = (0..2).all(|k| (work.pointing[k] / before[k] - 1.0).abs() < 1e-3);
         if round > 5 && moved < 1e-6 && settled {
             break;
         }
     }
-    Some(work.finished(&solution?))
+    let pointing = work.pointing;
+    let doubts = work.doubts();
+    work.pointing = [0, 1].map(|a| pointing[a] * doubts[a]);
+    let solution = work.normal(None).solve()?;
+    work.pointing = pointing;
+    Some(work.finished(&solution))
 }
 
 impl<'a> Work<'a> {
@@ -241,8 +253,14 @@ impl<'a> Work<'a> {
         let mut normal = Normal::new(n + 2 * self.poses.len());
         let mut row = vec![0.0; n + 2 * self.poses.len()];
         for (p, pose) in self.poses.iter().enumerate() {
-            let here = self.camera.view(&pose.configuration);
-            let moved: Vec<_> = self.free.iter().map(|&k| self.nudged(k, pose)).collect();
+            let offset = self.offsets[p];
+            let here = self.camera.view(&pose.configuration, offset);
+            let nudged = self
+                .free
+                .iter()
+                .copied()
+                .chain([PARAMETERS, PARAMETERS + 1]);
+            let moved: Vec<_> = nudged.map(|k| self.nudged(k, pose, offset)).collect();
             for (corner, _) in pose
                 .corners
                 .iter()
@@ -250,18 +268,18 @@ impl<'a> Work<'a> {
                 .filter(|(_, c)| **c)
             {
                 let seen = here(corner.place);
+                let off = difference(corner.at, seen, 1.0);
+                let columns = (0..n).chain(n + 2 * p..n + 2 * p + 2);
                 let slopes: Vec<_> = moved
                     .iter()
                     .map(|m| difference(m(corner.place), seen, NUDGE))
+                    .zip(columns)
                     .collect();
-                let off = difference(corner.at, seen, 1.0);
-                let off = [0, 1].map(|a| off[a] - self.offsets[p][a]);
                 for whitened in whitening(corner, self.noise) {
                     row.fill(0.0);
-                    for (entry, slope) in row.iter_mut().zip(&slopes) {
-                        *entry = whitened[0] * slope[0] + whitened[1] * slope[1];
+                    for (slope, column) in &slopes {
+                        row[*column] = whitened[0] * slope[0] + whitened[1] * slope[1];
                     }
-                    row[n + 2 * p..n + 2 * p + 2].copy_from_slice(&whitened);
                     normal.add(&row, whitened[0] * off[0] + whitened[1] * off[1], 1.0);
                 }
             }
@@ -279,11 +297,19 @@ impl<'a> Work<'a> {
         normal
     }
 
-    /// The view with one parameter a little larger.
-    fn nudged(&self, k: usize, pose: &Pose) -> impl Fn([f64; 2]) -> [f64; 2] + use<> {
+    /// The view with one parameter a little larger, or, after those, the pose's own offset in x or y.
+    fn nudged(
+        &self,
+        k: usize,
+        pose: &Pose,
+        mut offset: [f64; 2],
+    ) -> impl Fn([f64; 2]) -> [f64; 2] + use<> {
         let mut camera = self.camera.clone();
-        camera.values[k] += NUDGE * self.units[k];
-        camera.view(&pose.configuration)
+        match k.checked_sub(PARAMETERS) {
+            Some(axis) => offset[axis] += NUDGE,
+            None => camera.values[k] += NUDGE * self.units[k],
+        }
+        camera.view(&pose.configuration, offset)
     }
 
     /// Per free parameter: the step that leads to what is stated, and how far from it the truth may be.
@@ -340,14 +366,24 @@ impl<'a> Work<'a> {
         }
     }
 
+    /// By how much the few poses that tell the pointing's variance widen what is derived from it: the variance of Student's
+    /// t, whose degrees of freedom are the poses less what is fitted to each axis.
+    fn doubts(&self) -> [f64; 2] {
+        let free = |k: usize| f64::from(u8::from(self.free.contains(&k)));
+        [[1, 6, 8], [2, 7, 9]].map(|own| {
+            let fitted = own.map(free).iter().sum::<f64>() + 0.5 * (free(4) + free(5));
+            let freedom = (self.poses.len() as f64 - fitted).max(3.0);
+            freedom / (freedom - 2.0)
+        })
+    }
+
     /// Squared distances of all corners from where they should be, in standard deviations.
     fn sizes(&self) -> Vec<Vec<f64>> {
         let mut sizes: Vec<Vec<f64>> = Vec::new();
         for (pose, offset) in self.poses.iter().zip(&self.offsets) {
-            let here = self.camera.view(&pose.configuration);
+            let here = self.camera.view(&pose.configuration, *offset);
             let corners = pose.corners.iter().map(|corner| {
                 let off = difference(corner.at, here(corner.place), 1.0);
-                let off = [0, 1].map(|a| off[a] - offset[a]);
                 let parts = whitening(corner, self.noise).map(|w| w[0] * off[0] + w[1] * off[1]);
                 parts[0] * parts[0] + parts[1] * parts[1]
             });
@@ -363,7 +399,7 @@ impl<'a> Work<'a> {
         }
         let (mut square, mut n) = (0.0, 0.0);
         for (pose, counts) in self.poses.iter().zip(&self.counts) {
-            let here = self.camera.view(&pose.configuration);
+            let here = self.camera.view(&pose.configuration, [0.0; 2]);
             for (corner, _) in pose.corners.iter().zip(counts).filter(|(_, c)| **c) {
                 let off = difference(corner.at, here(corner.place), 1.0);
                 square += off[0] * off[0] + off[1] * off[1];

@@ -55,7 +55,7 @@ impl<'a> Tour<'a> {
 
     /// Finds the board in a pose, and learns from it.
     pub(super) fn visit(&mut self, pose: &Configuration, frames: &[Taken]) -> Result<()> {
-        let to_pixel = self.camera.view(pose);
+        let to_pixel = self.camera.view(pose, [0.0; 2]);
         let expected = self.expected(&to_pixel);
         let square_px = expected.smallest_square();
         if square_px.is_nan() || square_px < SMALLEST_SQUARE_PX {
@@ -128,7 +128,7 @@ impl<'a> Tour<'a> {
             .collect();
         let sign = self.sign.unwrap_or(1.0);
         for (pose, view) in self.poses.iter_mut().zip(&self.views) {
-            let to_pixel = self.camera.view(&pose.configuration);
+            let to_pixel = self.camera.view(&pose.configuration, [0.0; 2]);
             let expected = Expected {
                 corners: self.options.corners,
                 to_pixel: &to_pixel,
@@ -169,7 +169,7 @@ impl<'a> Tour<'a> {
         let poses = self.poses.iter().zip(&fitted.offsets).zip(&fitted.counted);
         let mut reports: Vec<PoseReport> = poses
             .map(|((pose, offset), &corners)| {
-                let to_pixel = fitted.camera.view(&pose.configuration);
+                let to_pixel = fitted.camera.view(&pose.configuration, [0.0; 2]);
                 PoseReport {
                     corners,
                     offset_px: *offset,

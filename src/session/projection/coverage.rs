@@ -57,8 +57,8 @@ impl Coverage {
     pub fn bounds(&self) -> [usize; 4] {
         let left = self.rows.iter().map(|r| r.x).min().unwrap_or(0);
         let right = self.rows.iter().map(|r| r.x + r.weights.len()).max();
-        let top = self.rows.first().map_or(0, |r| r.y);
-        let bottom = self.rows.last().map_or(0, |r| r.y + 1);
+        let top = self.rows.iter().map(|r| r.y).min().unwrap_or(0);
+        let bottom = self.rows.iter().map(|r| r.y + 1).max().unwrap_or(0);
         [left, top, right.unwrap_or(0), bottom]
     }
 }
