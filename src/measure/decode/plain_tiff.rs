@@ -60,7 +60,7 @@ pub(super) fn decode(tiff: &Tiff<'_>, directories: &[Directory]) -> Result<RawFr
         ratio,
     )?;
     let [black, white] = levels(tiff, image, layout)?;
-    let data = samples(tiff.bytes)?;
+    let data = samples(tiff.bytes, width * height * layout.values_per_pixel())?;
     if data.len() != width * height * layout.values_per_pixel() {
         return Err(Error::new(format!(
             "{} values for {width} x {height} pixels",
@@ -154,14 +154,19 @@ fn levels(tiff: &Tiff<'_>, image: &Directory, layout: Layout) -> Result<[f64; 2]
     .with_hint("write one black level below the largest value, or none"))
 }
 
-fn samples(bytes: &[u8]) -> Result<Vec<u16>> {
+/// All values, of which there are `count`.
+fn samples(bytes: &[u8], count: usize) -> Result<Vec<u16>> {
     let explain = |e: tiff::TiffError| {
         Error::new(format!("the TIFF file cannot be read: {e}"))
             .with_hint("copy it again, or write it uncompressed")
     };
     let mut decoder = Decoder::new(std::io::Cursor::new(bytes)).map_err(explain)?;
-    // The size was checked against the file's.
-    decoder = decoder.with_limits(Limits::unlimited());
+    // A tag that stands twice is read otherwise than here: the size that was checked is the limit.
+    let mut limits = Limits::unlimited();
+    limits.decoding_buffer_size = count * size_of::<u16>();
+    limits.intermediate_buffer_size = limits.decoding_buffer_size.max(bytes.len());
+    limits.ifd_value_size = bytes.len();
+    decoder = decoder.with_limits(limits);
     match decoder.read_image().map_err(explain)? {
         DecodingResult::U16(data) => Ok(data),
         _ => Err(Error::new("the TIFF file's values are not 16-bit integers").with_hint(EXPORT)),
