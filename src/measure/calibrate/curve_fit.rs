@@ -125,12 +125,39 @@ fn fit_best(groups: &[Group], full_scale: f64, max_order: usize) -> Result<Fit> 
     })
 }
 
+/// Relative variance of an exposure's exposed time: what the channels' residuals have in common beyond their noise. What
+/// they do not share is left aside, since no error of the time explains it.
 fn jitter(groups: &[Group], full_scale: f64, order: usize) -> f64 {
-    let observations: usize = groups.iter().map(|g| g.channels.len()).sum();
-    let freedom = observations.saturating_sub(order + 3);
+    let freedom = groups.len().saturating_sub(order + 1);
     excess_variance(freedom, 0.1, |v| {
-        solve(groups, full_scale, order, v).map_or(0.0, |s| s.chi_square)
+        let solution = solve(groups, full_scale, order, v);
+        solution.map_or(0.0, |s| common_chi_square(groups, full_scale, order, &s, v))
     })
+}
+
+/// Chi-square of the exposures' mean relative residuals over the channels.
+fn common_chi_square(
+    groups: &[Group],
+    full_scale: f64,
+    order: usize,
+    solution: &Solution,
+    jitter: f64,
+) -> f64 {
+    let curve = Curve::new(solution.values[..order].to_vec(), full_scale, [0.0; 4]);
+    let mut chi_square = 0.0;
+    for group in groups {
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for c in &group.channels {
+            let found = linear(c, &curve, full_scale);
+            let expected = solution.values[order + c.channel] * c.time;
+            let se = c.variance.sqrt() * curve.slope(c.level) / expected;
+            let weight = 1.0 / (c.copies * se * se);
+            sum += weight * (found / expected - 1.0);
+            weights += weight;
+        }
+        chi_square += (sum / weights).powi(2) / (1.0 / weights + jitter);
+    }
+    chi_square
 }
 
 /// Generalized least squares; variances are brought through the curve of the round before.
