@@ -158,7 +158,15 @@ fn calibrations_of_faulty_rigs_are_right_within_their_errors() {
         flats[0].push(*mean);
         flats[1].push(*square);
     }
-    println!("flats: mean {flats:?}");
+    for cell in 0..pulls[0].len() {
+        let mut square = Running::default();
+        pulls.iter().for_each(|p| square.push(p[cell] * p[cell]));
+        println!(
+            "cell {cell}: mean square pull {:.2} +- {:.2}",
+            square.mean(),
+            square.standard_error()
+        );
+    }
     assert!(
         flats[0].mean().abs() < 4.0 * flats[0].standard_error(),
         "{flats:?}"

@@ -1,6 +1,6 @@
 //! What stands in front of the virtual camera, how brightly it is lit, and where things stand in truth.
 
-use super::super::Shot;
+use crate::rig::Shot;
 use crate::session::{Configuration, FrameKind, WhiteReference};
 
 /// What the virtual camera looks at.

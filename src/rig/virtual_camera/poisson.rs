@@ -40,9 +40,9 @@ pub(super) fn poisson(mean: f64, random: &mut Random) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::seed;
     use super::*;
     use crate::math::statistics::sidak_level;
+    use crate::rig::virtual_camera::tests::seed;
     use statrs::distribution::{ContinuousCDF, DiscreteCDF, Normal, Poisson};
 
     /// Chi-square statistic of Poisson draws over cells of about equal probability, as a standard normal number

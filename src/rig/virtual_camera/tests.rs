@@ -6,7 +6,7 @@ use crate::math::statistics::{Running, sidak_level};
 use crate::session::Configuration;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-pub(super) fn seed(default: u64) -> u64 {
+pub(in crate::rig::virtual_camera) fn seed(default: u64) -> u64 {
     std::env::var("SEED").map_or(default, |s| s.parse().unwrap())
 }
 
