@@ -161,7 +161,6 @@ fn frames_that_do_not_state_their_exposure_are_believed_with_a_warning() {
     }
     let (believed, report) = measure(&session).unwrap();
     assert_eq!(believed, stated);
-    // The first frame is looked at twice, for its layout.
     let warning = |w: &&String| w.contains("do not say how long they were exposed");
     let warning = report.warnings.iter().find(warning).unwrap();
     assert!(warning.starts_with("12 frames"), "{warning}");

@@ -152,7 +152,9 @@ impl<'a> Loader<'a> {
             && let Some(first) = frames.first()
         {
             self.load(&first.record)?;
+            // It is read again.
             self.done.store(0, Ordering::Relaxed);
+            self.without_exif.store(0, Ordering::Relaxed);
         }
         let layout = self.camera.get().map(|(camera, _)| camera.layout);
         layout.ok_or_else(|| Error::new("the session has no frames"))
