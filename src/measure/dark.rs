@@ -36,7 +36,7 @@ pub(super) struct Darks {
 const BLIND: f32 = 0.05;
 
 /// Rounding to whole raw values alone has this variance.
-const QUANTIZATION: f64 = 1.0 / 12.0;
+pub(super) const QUANTIZATION: f64 = 1.0 / 12.0;
 
 impl Darks {
     /// Averages the darks of each exposure time; `hot_sigma` is how many standard deviations make a pixel hot.

@@ -145,6 +145,8 @@ pub(super) struct Weights {
     /// The same for the area mean, because a pixel on the edge shows more than the part of it inside:
     /// `sum f (1 - f) / area^2` over covered fractions f.
     pub(super) edge: f64,
+    /// A value stands for all channels: each has the same list.
+    alike: bool,
 }
 
 impl Weights {
@@ -165,6 +167,7 @@ impl Weights {
             channels,
             sampling: [0.0; 3],
             edge: 0.0,
+            alike: window.layout == Layout::Mono,
         }
     }
 
@@ -183,6 +186,7 @@ impl Weights {
                 .map(|(_, _, w)| w * (1.0 - w))
                 .sum::<f64>()
                 / (area * area),
+            alike: window.layout == Layout::Mono,
         };
         for channel in 0..3 {
             let mut of_value = vec![0.0; window.len()];
@@ -212,10 +216,18 @@ impl Weights {
         weights
     }
 
-    /// Every value once, with its channel.
+    /// Every value once, with its channel; those of a monochrome camera with channel 0.
     pub(super) fn values(&self) -> impl Iterator<Item = (usize, Weighted)> + '_ {
-        let of_channel = |c: usize| self.channels[c].iter().map(move |v| (c, *v));
-        (0..3).flat_map(of_channel)
+        let channels = if self.alike { 1 } else { 3 };
+        self.values_of(0..channels)
+    }
+
+    /// The values of some channels, each with its channel.
+    pub(super) fn values_of(
+        &self,
+        channels: std::ops::Range<usize>,
+    ) -> impl Iterator<Item = (usize, Weighted)> + '_ {
+        channels.flat_map(|c| self.channels[c].iter().map(move |v| (c, *v)))
     }
 }
 

@@ -124,7 +124,8 @@ impl<'a> Loader<'a> {
                     "{}: the journal states an exposure of {} ms",
                     title(record),
                     record.exposure_ms
-                )));
+                ))
+                .with_hint("restore journal.jsonl from a copy, or capture this frame again"));
             }
         }
         Ok(Self {
@@ -151,7 +152,9 @@ impl<'a> Loader<'a> {
             && let Some(first) = frames.first()
         {
             self.load(&first.record)?;
+            // It is read again.
             self.done.store(0, Ordering::Relaxed);
+            self.without_exif.store(0, Ordering::Relaxed);
         }
         let layout = self.camera.get().map(|(camera, _)| camera.layout);
         layout.ok_or_else(|| Error::new("the session has no frames"))
@@ -168,7 +171,8 @@ impl<'a> Loader<'a> {
             return Err(Error::new("measuring was interrupted"));
         }
         let bytes = std::fs::read(self.session.frame_path(&record.file))
-            .context(|| format!("{} cannot be read", title(record)))?;
+            .context(|| format!("{} cannot be read", title(record)))
+            .map_err(|e| e.with_hint("check the disk and the file's permissions"))?;
         let hash = sha256(&bytes);
         if hash != record.sha256 {
             return Err(Error::new(format!(
@@ -178,7 +182,11 @@ impl<'a> Loader<'a> {
             ))
             .with_hint("the file was changed or torn; restore it from a copy"));
         }
-        let frame = decode(&bytes).context(|| format!("{} cannot be decoded", title(record)))?;
+        let frame = decode(&bytes)
+            .context(|| format!("{} cannot be decoded", title(record)))
+            .map_err(|e| {
+                e.with_hint("the file is as it was captured: take this frame again, or restore it from a copy")
+            })?;
         self.check(record, &frame)?;
         self.viewer.frame(record, &frame)?;
         let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;

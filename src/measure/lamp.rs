@@ -47,8 +47,8 @@ pub struct LampReport {
 pub(super) struct Level {
     /// Relative to the first visit, r, g, b.
     pub(super) value: [f64; 3],
-    /// Each visit's share.
-    shares: Vec<f64>,
+    /// Each visit's share, r, g, b.
+    shares: Vec<[f64; 3]>,
     /// Share of frames in stretches without a visit.
     unknown: f64,
     /// How far a parabola through neighboring visits lies off the straight line, r, g, b.
@@ -107,16 +107,16 @@ impl Lamp {
         let part = 1.0 / moments.len() as f64;
         let mut level = Level {
             value: [0.0; 3],
-            shares: vec![0.0; self.visits.len()],
+            shares: vec![[0.0; 3]; self.visits.len()],
             unknown: 0.0,
             bend: [0.0; 3],
         };
         for moment in moments {
             self.add_shares(moment, part, &mut level);
         }
-        for (share, visit) in level.shares.iter().zip(&self.visits) {
-            for (value, of_visit) in level.value.iter_mut().zip(visit.level) {
-                *value += share * of_visit;
+        for (shares, visit) in level.shares.iter().zip(&self.visits) {
+            for c in 0..3 {
+                level.value[c] += shares[c] * visit.level[c];
             }
         }
         level
@@ -128,23 +128,26 @@ impl Lamp {
         let Some(first) = of_stretch.next() else {
             level.unknown += part;
             let even = part / self.visits.len() as f64;
-            level.shares.iter_mut().for_each(|s| *s += even);
+            level
+                .shares
+                .as_flattened_mut()
+                .iter_mut()
+                .for_each(|s| *s += even);
             return;
         };
         let last = of_stretch.next_back().unwrap_or(first);
-        let time = |v: usize| self.visits[v].at.elapsed_s;
-        let after = (first..=last).find(|&v| time(v) > moment.elapsed_s);
-        match after {
-            None => level.shares[last] += part,
-            Some(v) if v == first => level.shares[first] += part,
-            Some(v) => {
-                let along = (moment.elapsed_s - time(v - 1)) / (time(v) - time(v - 1));
-                level.shares[v] += part * along;
-                level.shares[v - 1] += part * (1.0 - along);
-                let area = (moment.elapsed_s - time(v - 1)) * (moment.elapsed_s - time(v));
-                let stretch = first..=last;
-                for (c, bend) in level.bend.iter_mut().enumerate() {
-                    *bend += part * area * self.curvature(v, &stretch, c);
+        for c in 0..3 {
+            let time = |v: usize| self.visits[v].seconds[c];
+            let after = (first..=last).find(|&v| time(v) > moment.elapsed_s);
+            match after {
+                None => level.shares[last][c] += part,
+                Some(v) if v == first => level.shares[first][c] += part,
+                Some(v) => {
+                    let along = (moment.elapsed_s - time(v - 1)) / (time(v) - time(v - 1));
+                    level.shares[v][c] += part * along;
+                    level.shares[v - 1][c] += part * (1.0 - along);
+                    let area = (moment.elapsed_s - time(v - 1)) * (moment.elapsed_s - time(v));
+                    level.bend[c] += part * area * self.curvature(v, &(first..=last), c);
                 }
             }
         }
@@ -153,7 +156,7 @@ impl Lamp {
     /// Second divided difference of the level around the gap between visits v - 1 and v: the mean of those with the visit
     /// before and with the one after, as far as they are of this stretch; 0 with neither.
     fn curvature(&self, v: usize, stretch: &std::ops::RangeInclusive<usize>, c: usize) -> f64 {
-        let time = |i: usize| self.visits[i].at.elapsed_s;
+        let time = |i: usize| self.visits[i].seconds[c];
         // A clock that stood still between two visits tells no slope.
         let over = |change: f64, s: f64| if s > 0.0 { change / s } else { 0.0 };
         let level = |i: usize| self.visits[i].level[c];
@@ -182,7 +185,7 @@ impl Lamp {
             let part = |levels: &[(f64, &Level)]| -> f64 {
                 let parts = levels
                     .iter()
-                    .map(|(w, l)| w * l.shares[v] / l.value[channel]);
+                    .map(|(w, l)| w * l.shares[v][channel] / l.value[channel]);
                 parts.sum()
             };
             let part = (part(sample) - part(white)) * visit.level[channel];

@@ -3,42 +3,107 @@
 use super::calibration::Linearity;
 use super::field::Window;
 
-/// The response curve `linear = s (1 + sum_k c_k (s / full)^k)` over raw values, tabulated; without a calibration it is the
-/// raw value itself.
+/// `linear = s (1 + sum_k c_k (s / full_scale)^(k + 1))` with `s` the raw value less bias.
+#[derive(Debug, Clone)]
+pub(super) struct Curve {
+    coefficients: Vec<f64>,
+    full_scale: f64,
+    /// By place of the layout.
+    pub(super) bias: [f64; 4],
+    /// Raw values less bias above this are not used.
+    pub(super) brightest: f64,
+}
+
+impl Curve {
+    /// The known curve, or a straight line from this bias.
+    pub(super) fn known(linearity: Option<&Linearity>, bias: [f64; 4]) -> Self {
+        linearity.map_or_else(
+            || Self::new(Vec::new(), 1.0, bias),
+            |l| Self {
+                coefficients: l.coefficients.clone(),
+                full_scale: l.full_scale,
+                bias: l.bias,
+                brightest: l.usable[1] * l.full_scale,
+            },
+        )
+    }
+
+    pub(super) fn new(coefficients: Vec<f64>, full_scale: f64, bias: [f64; 4]) -> Self {
+        Self {
+            coefficients,
+            full_scale,
+            bias,
+            brightest: f64::INFINITY,
+        }
+    }
+
+    pub(super) fn coefficients(&self) -> &[f64] {
+        &self.coefficients
+    }
+
+    /// White level less mean bias, raw values.
+    pub(super) fn full_scale(&self) -> f64 {
+        self.full_scale
+    }
+
+    /// The linear value of `s`, the raw value less bias.
+    pub(super) fn at(&self, s: f64) -> f64 {
+        let u = s / self.full_scale;
+        let sum = |sum: f64, c: &f64| (sum + c) * u;
+        s * (1.0 + self.coefficients.iter().rev().fold(0.0, sum))
+    }
+
+    /// Its derivative.
+    pub(super) fn slope(&self, s: f64) -> f64 {
+        let u = s / self.full_scale;
+        let powers = self.coefficients.iter().zip(1..);
+        1.0 + powers
+            .map(|(c, k)| f64::from(k + 1) * c * u.powi(k))
+            .sum::<f64>()
+    }
+
+    /// The derivative by coefficient k (from 0) at `s`.
+    pub(super) fn by_coefficient(&self, k: usize, s: f64) -> f64 {
+        s * (s / self.full_scale).powi(k as i32 + 1)
+    }
+
+    /// The derivatives by the coefficients at `s`.
+    pub(super) fn by_coefficients(&self, s: f64) -> Vec<f64> {
+        let orders = 0..self.coefficients.len();
+        orders.map(|k| self.by_coefficient(k, s)).collect()
+    }
+}
+
+/// [`Curve`] over raw values, tabulated; without a calibration it is the raw value itself.
 pub(super) struct Response {
     /// By place of the layout, then by raw value; empty: the identity.
     tables: Vec<Vec<f32>>,
-    coefficients: Vec<f64>,
+    curve: Curve,
     covariance: Vec<Vec<f64>>,
-    full_scale: f64,
     /// Raw values from here on are not used.
     pub(super) limit: Option<f64>,
 }
 
 impl Response {
     pub(super) fn new(linearity: Option<&Linearity>) -> Self {
+        let curve = Curve::known(linearity, [0.0; 4]);
         let Some(l) = linearity else {
             return Self {
                 tables: Vec::new(),
-                coefficients: Vec::new(),
+                curve,
                 covariance: Vec::new(),
-                full_scale: 1.0,
                 limit: None,
             };
         };
-        let linear = |raw: usize, bias: f64| {
-            let s = raw as f64 - bias;
-            (s * (1.0 + series(&l.coefficients, s / l.full_scale))) as f32
-        };
         let largest = (1.3 * l.full_scale + l.bias[0]).clamp(1.0, 65535.0) as usize;
+        let linear = |raw: usize, bias: f64| curve.at(raw as f64 - bias) as f32;
         let table = |bias: &f64| (0..=largest).map(|raw| linear(raw, *bias)).collect();
         let bias = l.bias.iter().copied().fold(0.0, f64::max);
         Self {
             tables: l.bias.iter().map(table).collect(),
-            coefficients: l.coefficients.clone(),
             covariance: l.covariance.clone(),
-            full_scale: l.full_scale,
-            limit: Some(bias + l.usable[1] * l.full_scale),
+            limit: Some(bias + curve.brightest),
+            curve,
         }
     }
 
@@ -63,12 +128,12 @@ impl Response {
 
     /// Number of coefficients.
     pub(super) fn order(&self) -> usize {
-        self.coefficients.len()
+        self.curve.coefficients().len()
     }
 
     /// The derivative of a linear value by coefficient k (from 0): `s (s / full)^(k + 1)`, to first order in the curve.
     pub(super) fn derivative(&self, k: usize, linear: f64) -> f64 {
-        linear * (linear / self.full_scale).powi(k as i32 + 1)
+        self.curve.by_coefficient(k, linear)
     }
 
     /// The variance that the coefficients' covariance gives a quantity with these derivatives.
@@ -81,10 +146,6 @@ impl Response {
         .sum::<f64>()
         .max(0.0)
     }
-}
-
-fn series(coefficients: &[f64], u: f64) -> f64 {
-    coefficients.iter().rev().fold(0.0, |sum, c| (sum + c) * u)
 }
 
 /// The linear values of a window of a frame.
@@ -103,4 +164,28 @@ pub(super) fn linear_window(response: &Response, window: &Window, data: &[u16]) 
         }
     }
     values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_slope_and_the_derivatives_are_those_of_the_curve() {
+        let curve = |c: [f64; 3]| Curve::new(c.to_vec(), 4000.0, [0.0; 4]);
+        let c = [0.03, -0.02, 0.01];
+        let (s, h) = (2500.0, 1e-3);
+        let slope = (curve(c).at(s + h) - curve(c).at(s - h)) / (2.0 * h);
+        assert!((slope - curve(c).slope(s)).abs() < 1e-8, "{slope}");
+        for k in 0..3 {
+            let moved = |by: f64| {
+                let mut c = c;
+                c[k] += by;
+                curve(c).at(s)
+            };
+            let found = (moved(h) - moved(-h)) / (2.0 * h);
+            let stated = curve(c).by_coefficients(s)[k];
+            assert!((found - stated).abs() < 1e-6, "{k}: {found} {stated}");
+        }
+    }
 }

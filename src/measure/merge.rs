@@ -8,7 +8,7 @@
 //!
 //! Nothing is ever replaced: a value that is too bright in every exposure makes the configuration saturated.
 
-use super::field::{Weights, Window};
+use super::field::{Weighted, Weights, Window};
 use super::stack::{Stack, Target};
 use crate::session::Layout;
 
@@ -19,8 +19,9 @@ const FORETOLD: f64 = 0.9;
 pub(super) struct Merged {
     /// One plane of the window's size for all channels; or three, for frames through filters.
     planes: Vec<Plane>,
-    /// Values that carry the crop and are too bright in every exposure.
-    pub(super) saturated: usize,
+    /// Values that carry the crop and are too bright in every exposure, by channel; of a monochrome camera without filters
+    /// all are counted in channel 0.
+    pub(super) saturated: [usize; 3],
     /// Exposures in which values of the crop were left out: index of the stack, how many.
     pub(super) masked: Vec<(usize, usize)>,
 }
@@ -62,18 +63,23 @@ impl Merged {
         };
         let mut merged = Self {
             planes,
-            saturated: 0,
+            saturated: [0; 3],
             masked: Vec::new(),
         };
-        let mut saturated = 0;
         let mut masked = vec![0; stacks.len()];
-        for (c, value) in target.weights.values() {
+        let mut saturated = [0; 3];
+        let mut count = |(c, value): (usize, Weighted)| {
             let plane = merged.plane(c);
             let used = plane.used[value.index];
-            saturated += usize::from(used == 0);
+            saturated[c] += usize::from(used == 0);
             for (bit, &stack) in plane.stacks.iter().enumerate() {
                 masked[stack] += usize::from(used & (1 << bit) == 0);
             }
+        };
+        if filtered {
+            target.weights.values_of(0..3).for_each(&mut count);
+        } else {
+            target.weights.values().for_each(&mut count);
         }
         merged.saturated = saturated;
         let masked = masked.into_iter().enumerate().filter(|(_, n)| *n > 0);

@@ -34,6 +34,8 @@ pub(super) struct Reading {
     /// What saturated, when nothing is usable.
     pub(super) saturated: Option<String>,
     pub(super) captured: bool,
+    /// The channel no frame shows: frames through its filter are missing.
+    pub(super) unseen: Option<usize>,
     /// Exposure, milliseconds, and values of the crop left out of it.
     pub(super) masked: Vec<(f64, usize)>,
     /// What a careful eye sees in the crop.
@@ -168,17 +170,18 @@ impl Reader<'_> {
             deviations: deviations(&stacks, &weights),
             saturated: None,
             captured: !stacks.is_empty(),
+            unseen: (0..3).find(|&c| !stacks.iter().any(|s| s.sees(c))),
             masked: Vec::new(),
             checks: None,
         };
-        if stacks.is_empty() {
+        if reading.unseen.is_some() {
             return Ok(reading);
         }
         let merged = Merged::of(&stacks, &target, self.scatter.slope);
         let of_stack = |&(stack, n): &(usize, usize)| (stacks[stack].exposure_ms, n);
         reading.masked = merged.masked.iter().map(of_stack).collect();
-        if merged.saturated > 0 {
-            reading.saturated = Some(saturated(&merged, &stacks[0], &weights, crop));
+        if merged.saturated.iter().any(|&n| n > 0) {
+            reading.saturated = saturated(&merged, &stacks, &weights, crop);
             return Ok(reading);
         }
         self.fill(&mut reading, &merged, &stacks, &target, crop)?;
@@ -277,11 +280,24 @@ impl Exposure {
     }
 }
 
-fn saturated(merged: &Merged, shortest: &Stack, weights: &Weights, crop: &Footprint) -> String {
+/// What is saturated: the channel with the most such pixels, in its shortest exposure.
+fn saturated(
+    merged: &Merged,
+    stacks: &[Stack],
+    weights: &Weights,
+    crop: &Footprint,
+) -> Option<String> {
+    let channel = (0..3).rev().max_by_key(|&c| merged.saturated[c])?;
+    let of_channel = stacks.iter().filter(|s| s.sees(channel));
+    let shortest = of_channel.min_by(|a, b| a.exposure_ms.total_cmp(&b.exposure_ms))?;
+    let all: usize = merged.saturated.iter().sum();
+    let (count, pixels) = match shortest.filter {
+        Some(_) => (merged.saturated[channel], weights.channels[channel].len()),
+        None => (all, weights.values().count()),
+    };
     let [left, top, right, bottom] = crop.coverage.bounds();
-    let pixels = weights.values().count();
-    format!(
-        "saturated: {} of {pixels} pixels of {} are too bright, and in every longer exposure (crop in columns {left} to {right}, rows {top} to {bottom})",
-        merged.saturated, shortest.title
-    )
+    Some(format!(
+        "saturated: {count} of {pixels} pixels of {} are too bright, and in every longer exposure (crop in columns {left} to {right}, rows {top} to {bottom}); take it again with an exposure below {} ms",
+        shortest.title, shortest.exposure_ms
+    ))
 }

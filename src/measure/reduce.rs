@@ -60,7 +60,15 @@ impl Reducer<'_> {
         if !reading.captured {
             report.condition = Condition::NotCaptured;
             report.message = Some(format!(
-                "configuration {id}: the journal has no frame of it"
+                "configuration {id}: the journal has no frame of it; go on with the capture (`goniofit capture --resume DIR`)"
+            ));
+            return Ok((None, report));
+        }
+        if let Some(c) = reading.unseen {
+            report.condition = Condition::NotCaptured;
+            report.message = Some(format!(
+                "configuration {id}: no frame through the {} filter; shoot every configuration through all three",
+                COLORS[c]
             ));
             return Ok((None, report));
         }
@@ -80,7 +88,8 @@ impl Reducer<'_> {
                 return Err(Error::new(format!(
                     "configuration {id}: {} came out as {} +- {total}",
                     COLORS[c], mean[c]
-                )));
+                ))
+                .with_hint("a number of the plan, session.json or a calibration has no meaning: check them"));
             }
         }
         if let Some(color) = self.color {
@@ -174,7 +183,8 @@ impl Reducer<'_> {
     }
 }
 
-const COLORS: [&str; 3] = ["red", "green", "blue"];
+/// How messages call the channels.
+pub(super) const COLORS: [&str; 3] = ["red", "green", "blue"];
 
 /// Means and budgets in another color space. Parts that the three channels of a frame have in common add up with their
 /// signs, the others as squares.

@@ -4,7 +4,7 @@ use super::calibration::{Calibrations, Header};
 use super::checks::{CheckOptions, blunt_poses};
 use super::dark::Darks;
 use super::field::{Weights, Window};
-use super::frames::{Loader, Taken, taken};
+use super::frames::{Loader, Taken, taken, title};
 use super::geometry::GeometryErrors;
 use super::lamp::Lamp;
 use super::linear::Response;
@@ -19,8 +19,8 @@ use super::white::{Flat, White, WhitePlace};
 use super::{Unviewed, Viewer};
 use crate::base::{Context, Error, Result, Watch};
 use crate::session::{
-    CameraFacts, Configuration, Event, FrameKind, Manifest, Measurements, Plan, SessionFolder,
-    WhiteReference, read_journal,
+    CameraFacts, Configuration, Event, FrameKind, Layout, Manifest, Measurements, Plan,
+    SessionFolder, WhiteReference, read_journal,
 };
 use rayon::prelude::*;
 
@@ -117,6 +117,17 @@ impl Work<'_> {
             .collect();
         let boxes = boxes.into_iter().collect::<Result<Vec<_>>>()?;
         let reference = self.white_reference()?;
+        let layout = self.loader.layout(self.frames)?;
+        let filtered = self.frames.iter().any(|f| f.record.filter.is_some());
+        let gray = layout == Layout::Mono && !filtered;
+        if gray && options.color {
+            return Err(
+                Error::new("a monochrome camera without filters has no colors to convert")
+                    .with_hint(
+                        "leave out --color, or shoot through a red, a green and a blue filter",
+                    ),
+            );
+        }
         let reference_crop = self
             .crop(&reference.configuration)
             .context(|| "reference geometry")?;
@@ -127,7 +138,7 @@ impl Work<'_> {
         let size = [self.camera.width, self.camera.height];
         let reference_box = reference_crop.coverage.bounds();
         let all = boxes.into_iter().chain([reference_box]);
-        let field = Window::around(all, margin, size, self.loader.layout(self.frames)?);
+        let field = Window::around(all, margin, size, layout);
         let mut darks = Darks::read(
             self.loader,
             &self.of_kind(FrameKind::Dark),
@@ -173,7 +184,7 @@ impl Work<'_> {
             center: self.camera.center_px,
         };
         let mut scattering = Vec::new();
-        let white = match (&known.white, whites.is_empty()) {
+        let mut white = match (&known.white, whites.is_empty()) {
             (Some(known), true) => White::known(&known.value, &place),
             _ => {
                 let target = &place.target;
@@ -184,6 +195,10 @@ impl Work<'_> {
                 White::fit(&reference, &place, &stacks, &darks.response)?
             }
         };
+
+        if gray {
+            white.gray();
+        }
 
         let reader = Reader {
             loader: self.loader,
@@ -488,6 +503,14 @@ fn nothing_left(report: &MeasureReport) -> Error {
     )
 }
 
+/// True for frames that numbers are made of.
+fn measured(kind: FrameKind) -> bool {
+    matches!(
+        kind,
+        FrameKind::Sample | FrameKind::White | FrameKind::Reference
+    )
+}
+
 fn check_frames(
     frames: &[Taken],
     finished: bool,
@@ -503,6 +526,18 @@ fn check_frames(
             ))
             .with_hint("journal.jsonl and plan.toml are not of the same session"));
         }
+    }
+    let lit = || records().filter(|r| measured(r.kind));
+    if let (Some(with), Some(without)) = (
+        lit().find(|r| r.filter.is_some()),
+        lit().find(|r| r.filter.is_none()),
+    ) {
+        return Err(Error::new(format!(
+            "{} was shot without a filter, {} through one",
+            title(without),
+            title(with)
+        ))
+        .with_hint("name the filter of every sample, white and reference frame, or of none"));
     }
     for kind in [FrameKind::Sample, FrameKind::White, FrameKind::Dark] {
         if kind == FrameKind::White && !needs_white {

@@ -10,6 +10,7 @@ use super::field::Weights;
 use super::frames::{Loader, Moment, Taken, same_exposure};
 use super::lamp::Lamp;
 use super::noise::{Cell, Scatter};
+use super::reduce::COLORS;
 use super::stack::{Stack, Target, read_stacks};
 use crate::base::{Error, Result};
 use crate::session::Filter;
@@ -36,6 +37,8 @@ impl Variance {
 pub(super) struct Visit {
     pub(super) number: u32,
     pub(super) at: Moment,
+    /// By channel: mean time of the frames that show it. Through filters the channels are shot one after another.
+    pub(super) seconds: [f64; 3],
     pub(super) level: [f64; 3],
     /// Of its own rate, the noise of the darks it shares with the first visit included.
     pub(super) own: [Variance; 3],
@@ -105,6 +108,8 @@ pub(super) fn read_lamp(
 struct Exposure {
     exposure_ms: f64,
     filter: Option<Filter>,
+    /// How messages call its first frame.
+    title: String,
     repeats: f64,
     signal: [f64; 3],
     /// `sum w^2 signal / repeats`.
@@ -122,6 +127,7 @@ impl Exposure {
         Self {
             exposure_ms: stack.exposure_ms,
             filter: stack.filter,
+            title: stack.title.clone(),
             repeats: stack.repeats,
             signal: means.map(|m| m.signal),
             shot: means.map(|m| m.shot),
@@ -142,6 +148,13 @@ impl Exposure {
             stretch: moments.first().map_or(0, |m| m.stretch),
             elapsed_s: sum / moments.len() as f64,
         }
+    }
+
+    /// Mean time of the frames that show a channel.
+    fn mean_seconds(exposures: &[Self], channel: usize) -> f64 {
+        let of_channel = exposures.iter().filter(|e| e.sees(channel));
+        let moments: Vec<&Moment> = of_channel.flat_map(|e| &e.moments).collect();
+        moments.iter().map(|m| m.elapsed_s).sum::<f64>() / moments.len() as f64
     }
 
     /// Exposed time.
@@ -188,6 +201,7 @@ impl Visit {
         let mut visit = Self {
             number,
             at: Exposure::mean_moment(exposures),
+            seconds: [0, 1, 2].map(|c| Exposure::mean_seconds(exposures, c)),
             level: [0.0; 3],
             own: [Variance::default(); 3],
             first: [Variance::default(); 3],
@@ -204,8 +218,9 @@ impl Visit {
             for rate in [rate_here, rate_there] {
                 if !(f64::MIN_POSITIVE..f64::MAX).contains(&rate) {
                     return Err(Error::new(format!(
-                        "reference visit {number}: {} is not brighter than the dark ({rate} raw values per millisecond)",
-                        ["red", "green", "blue"][c]
+                        "reference visit {number} ({}): {} is not brighter than the dark ({rate} raw values per millisecond)",
+                        here.iter().find(|e| e.sees(c)).map_or("", |e| &e.title),
+                        COLORS[c]
                     ))
                     .with_hint("was the lamp on for the reference frames, and off for the darks?"));
                 }

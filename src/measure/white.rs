@@ -16,6 +16,7 @@ use super::field::Window;
 use super::lamp::Level;
 use super::linear::Response;
 use super::noise::{Cell, Scatter};
+use super::reduce::COLORS;
 use super::stack::{Stack, Target};
 use crate::base::{Error, Result};
 use crate::session::WhiteReference;
@@ -125,14 +126,8 @@ impl White {
     ) -> Result<Self> {
         let bounds = place.target.window.bounds;
         let usable: Vec<&Stack> = stacks.iter().filter(|s| s.clipped_in_crop == 0).collect();
-        if !(0..3).all(|c| usable.iter().any(|s| s.sees(c))) {
-            let first = stacks.first().map_or("no white frame", |s| &s.title);
-            let clipped = stacks.first().map_or(0, |s| s.clipped_in_crop);
-            return Err(Error::new(format!(
-                "the white standard is saturated in every exposure: {first} has {clipped} pixels too bright in columns {} to {}, rows {} to {}",
-                bounds[0], bounds[2], bounds[1], bounds[3]
-            ))
-            .with_hint("take white frames with a shorter exposure"));
+        if let Some(c) = (0..3).find(|&c| !usable.iter().any(|s| s.sees(c))) {
+            return Err(unusable(stacks, c, bounds));
         }
         let order = if place.flat.is_some() { 1 } else { TERMS };
         let mut white = Self::empty(reference, place, order);
@@ -187,6 +182,20 @@ impl White {
         }
         white.from_calibration = true;
         white
+    }
+
+    /// Takes the standard as one gray: a camera that sees no color has one number for it. How it weights the colors is not
+    /// known, so where their factors differ the range is an error, evenly likely throughout.
+    pub(super) fn gray(&mut self) {
+        let mean = self.radiance.iter().sum::<f64>() / 3.0;
+        let (low, high) = self
+            .radiance
+            .iter()
+            .fold((f64::MAX, 0.0_f64), |(l, h), &r| (l.min(r), h.max(r)));
+        let spread = (high - low) / (12.0_f64.sqrt() * mean);
+        let stated = self.radiance_se.iter().sum::<f64>() / 3.0;
+        self.radiance = [mean; 3];
+        self.radiance_se = [stated.hypot(spread); 3];
     }
 
     fn empty(reference: &WhiteReference, place: &WhitePlace<'_>, order: usize) -> Self {
@@ -314,6 +323,22 @@ impl White {
             from_calibration: self.from_calibration,
         }
     }
+}
+
+/// Why no white frame of a channel can be used.
+fn unusable(stacks: &[Stack], channel: usize, bounds: [usize; 4]) -> Error {
+    let Some(shortest) = stacks.iter().find(|s| s.sees(channel)) else {
+        return Error::new(format!(
+            "there is no white frame through the {} filter",
+            COLORS[channel]
+        ))
+        .with_hint("take white frames through all three filters");
+    };
+    Error::new(format!(
+        "the white standard is saturated in every exposure: {} has {} pixels too bright in columns {} to {}, rows {} to {}",
+        shortest.title, shortest.clipped_in_crop, bounds[0], bounds[2], bounds[1], bounds[3]
+    ))
+    .with_hint("take white frames with a shorter exposure")
 }
 
 impl Fit {
@@ -451,8 +476,11 @@ fn fit_channel(
     let coefficients = solve(&right);
     let explained = dot(&coefficients, &right);
     if coefficients[0].is_nan() || coefficients[0] <= 0.0 {
+        let [left, top, right, bottom] = place.target.window.bounds;
         return Err(Error::new(format!(
-            "the white standard is not brighter than the dark ({} raw values per millisecond)",
+            "the white standard is not brighter than the dark: {} of {} reads {} raw values per millisecond in columns {left} to {right}, rows {top} to {bottom}",
+            COLORS[channel],
+            stacks.first().map_or("no frame", |s| &s.title),
             coefficients[0]
         ))
         .with_hint("was the light on for the white frames, and off for the darks?"));

@@ -40,7 +40,9 @@ pub fn write_atomic(path: &Path, content: &[u8]) -> Result<()> {
         // The error below is the one that matters; a leftover temporary file is harmless.
         let _ = std::fs::remove_file(&temporary);
     }
-    written.context(what)
+    written.context(what).map_err(|e| {
+        e.with_hint("is the disk full, the folder not writable, or a folder in the file's place?")
+    })
 }
 
 /// SHA-256, hexadecimal.

@@ -54,7 +54,7 @@ fn record_with(
     script: &Script,
 ) -> SessionFolder {
     let manifest = setup.manifest();
-    script.record(root, &manifest, &plan(configurations), |shot, _, _| {
+    script.record(root, &manifest, &plan(configurations), |shot, _, _, _| {
         camera.expose(shot).unwrap()
     })
 }

@@ -46,6 +46,10 @@ pub struct Setup {
     pub breaks: Vec<usize>,
     /// The lamp's brightness by time, 0 at the first shot after the whites and 1 at the last, and by stretch.
     pub lamp: Option<fn(f64, usize) -> [f64; 3]>,
+    /// A monochrome camera's frames are shot through red, green and blue filters one after another.
+    pub filters: bool,
+    /// The white standard's true reflectance factor at the reference geometry.
+    pub white_factor: [f64; 3],
     /// Standard error of the stated reflectance factor; the stated one is drawn around the true one.
     pub white_se: f64,
     /// What manifests state of the camera; none: the truth.
@@ -94,6 +98,8 @@ impl Setup {
             unvisited: Vec::new(),
             breaks: Vec::new(),
             lamp: None,
+            filters: false,
+            white_factor: TRUE_WHITE,
             white_se: 0.003,
             stated: None,
             pose_sd: PoseErrors::default(),
@@ -159,7 +165,7 @@ impl Setup {
         Scene {
             cloth: Cloth::new(phases, self.grain, self.glints, self.seed),
             panel: Panel {
-                factor: TRUE_WHITE,
+                factor: self.white_factor,
                 reference: true_white().configuration,
             },
             board: Board {
@@ -252,6 +258,7 @@ impl Setup {
     pub fn stated_white(&self) -> WhiteReference {
         let mut random = Random::keyed(&[self.seed, 78]);
         let mut stated = true_white();
+        stated.reflectance_factor = self.white_factor;
         for c in 0..3 {
             stated.reflectance_factor_se[c] = self.white_se;
             stated.reflectance_factor[c] += self.white_se * random.normal();
@@ -333,23 +340,27 @@ pub fn record(root: &Path, setup: &Setup) -> SessionFolder {
         setup.seed,
     )
     .unwrap();
-    let script = setup.script();
+    let script = match setup.filters {
+        true => setup.script().through_filters(),
+        false => setup.script(),
+    };
     let times = script.times();
-    let early = |s: &Step| matches!(s, Step::Shot(shot) if matches!(shot.kind, FrameKind::Dark | FrameKind::White));
+    let early = |s: &Step| matches!(s, Step::Shot(shot) | Step::Through(shot, _) if matches!(shot.kind, FrameKind::Dark | FrameKind::White));
     let start_s = script.steps.iter().filter(|s| early(s)).count() as f64;
     let end_s = times[times.len() - 1] - 1.0;
     script.record(
         root,
         &setup.manifest(),
         &plan(setup.configurations()),
-        |shot, elapsed_s, stretch| {
+        |shot, filter, elapsed_s, stretch| {
             if let Some(law) = setup.lamp {
                 let x = ((elapsed_s - start_s) / (end_s - start_s)).max(0.0);
                 *brightness.lock().unwrap() = law(x, stretch);
             }
-            match shot.kind {
-                FrameKind::Dark => dark.expose(shot).unwrap(),
-                _ => light.expose(shot).unwrap(),
+            match (shot.kind, filter) {
+                (FrameKind::Dark, _) => dark.expose(shot).unwrap(),
+                (_, Some(filter)) => light.expose_through(shot, filter).unwrap(),
+                (_, None) => light.expose(shot).unwrap(),
             }
         },
     )

@@ -2,7 +2,7 @@
 
 use goniofit::rig::{CapturedFrame, Shot};
 use goniofit::session::{
-    Configuration, Event, FrameKind, FrameRecord, Manifest, Plan, SessionFolder,
+    Configuration, Event, Filter, FrameKind, FrameRecord, Manifest, Plan, SessionFolder,
 };
 use std::path::Path;
 
@@ -11,6 +11,8 @@ pub enum Step {
     /// A stretch begins.
     Ready,
     Shot(Shot),
+    /// Through a filter in front of the lens.
+    Through(Shot, Filter),
     /// Nothing, for so many seconds.
     Wait(f64),
 }
@@ -74,25 +76,39 @@ impl Script {
             let last = times[times.len() - 1];
             times.push(match step {
                 Step::Ready => last,
-                Step::Shot(_) => last + 1.0,
+                Step::Shot(_) | Step::Through(..) => last + 1.0,
                 Step::Wait(seconds) => last + seconds,
             });
         }
         times
     }
 
-    /// Records the session into `root`; `expose` is told the shot, the time and the stretch.
+    /// Every shot but darks three times, through one filter after another.
+    pub fn through_filters(self) -> Self {
+        let split = |step: Step| match step {
+            Step::Shot(shot) if shot.kind != FrameKind::Dark => [Filter::R, Filter::G, Filter::B]
+                .map(|f| Step::Through(shot.clone(), f))
+                .into(),
+            other => vec![other],
+        };
+        Self {
+            steps: self.steps.into_iter().flat_map(split).collect(),
+            visits: self.visits,
+        }
+    }
+
+    /// Records the session into `root`; `expose` is told the shot, the filter, the time and the stretch.
     pub fn record(
         &self,
         root: &Path,
         manifest: &Manifest,
         plan: &Plan,
-        mut expose: impl FnMut(&Shot, f64, usize) -> CapturedFrame,
+        mut expose: impl FnMut(&Shot, Option<Filter>, f64, usize) -> CapturedFrame,
     ) -> SessionFolder {
         let (session, mut journal) = SessionFolder::create(root, manifest, plan, "").unwrap();
         let (mut number, mut stretches) = (0, 0_usize);
         for (step, elapsed_s) in self.steps.iter().zip(self.times()) {
-            let shot = match step {
+            let (shot, filter) = match step {
                 Step::Wait(_) => continue,
                 Step::Ready => {
                     let firmware = String::new();
@@ -104,9 +120,10 @@ impl Script {
                     stretches += 1;
                     continue;
                 }
-                Step::Shot(shot) => shot,
+                Step::Shot(shot) => (shot, None),
+                Step::Through(shot, filter) => (shot, Some(*filter)),
             };
-            let frame = expose(shot, elapsed_s, stretches.saturating_sub(1));
+            let frame = expose(shot, filter, elapsed_s, stretches.saturating_sub(1));
             let record = FrameRecord {
                 file: FrameRecord::standard_name(
                     number,
@@ -121,7 +138,7 @@ impl Script {
                 repeat: shot.repeat,
                 requested_ms: None,
                 visit: shot.visit,
-                filter: None,
+                filter,
                 exposed: None,
                 utc: None,
                 axes_deg: Default::default(),

@@ -1,7 +1,6 @@
 //! What the patches of a color chart read: linear rates by channel.
 
 use super::chart::Chart;
-use super::curve::Curve;
 use super::darks::{Darks, wanted};
 use super::patch::{NAMES, Patch};
 use super::recording::Recording;
@@ -9,6 +8,7 @@ use crate::base::{Context, Error, Result, Watch};
 use crate::measure::RawFrame;
 use crate::measure::calibration::{Calibrations, FlatField};
 use crate::measure::frames::Taken;
+use crate::measure::linear::Curve;
 use crate::session::{CameraFacts, Configuration, Coverage, Projection};
 
 /// A channel's mean over a patch and its standard error.

@@ -1,11 +1,11 @@
 //! The curve that makes signals proportional to exposures: generalized least squares.
 
-use super::curve::Curve;
 use super::least_squares::{Normal, Solution, cholesky, excess_variance, forward};
 use super::patch::NAMES;
 use crate::base::{Error, Result};
 use crate::measure::calibration::LinearityPoint;
 use crate::measure::frames::same_exposure;
+use crate::measure::linear::Curve;
 
 /// The corrected signal may be off from proportionality by this much.
 const TOLERANCE: f64 = 0.003;

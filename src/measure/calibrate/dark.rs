@@ -161,7 +161,7 @@ impl Lines {
     fn hot(&self, reader: &Reader<'_>, sigma: f64) -> Vec<bool> {
         let mut hot = vec![false; self.sums.len()];
         // Rounding alone scatters a line by this much.
-        let floor = super::darks::QUANTIZATION;
+        let floor = crate::measure::dark::QUANTIZATION;
         let floors = [
             floor / self.spread_t,
             floor * (1.0 / self.n + self.mean_t.powi(2) / self.spread_t),
@@ -267,7 +267,7 @@ impl Exposure {
             ))
             .with_hint("was the lens capped? raise --hot-sigma when the sensor is that uneven"));
         }
-        let variance = (square / freedom).max(super::darks::QUANTIZATION);
+        let variance = (square / freedom).max(crate::measure::dark::QUANTIZATION);
         Ok(Self {
             stated: DarkExposure {
                 exposure_ms: group[0].record.exposure_ms,

@@ -5,14 +5,12 @@ use super::patch::Patch;
 use super::recording::{Reader, Recording};
 use crate::base::{Error, Result};
 use crate::measure::calibration::{Calibrations, DarkCurrent, Dated};
+use crate::measure::dark::QUANTIZATION;
 use crate::measure::frames::{Taken, same_exposure, title};
 use crate::session::FrameKind;
 
 /// A value stands out when its dark is this many robust standard deviations off.
 const HOT_SIGMA: f64 = 8.0;
-
-/// Rounding to whole raw values alone has this variance.
-pub(super) const QUANTIZATION: f64 = 1.0 / 12.0;
 
 /// The dark of one exposure on a patch.
 pub(super) struct Dark {

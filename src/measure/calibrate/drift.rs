@@ -5,7 +5,6 @@
 //! time, beyond the noise of the pixels: a course that bends between neighbors counts as flicker.
 
 use super::Calibrated;
-use super::curve::Curve;
 use super::darks::{Darks, wanted};
 use super::least_squares::{Normal, chi_square_limit};
 use super::patch::{NAMES, Patch};
@@ -15,6 +14,7 @@ use super::transfer::Noise;
 use crate::base::{Context, Error, Result, Watch};
 use crate::measure::calibration::{Calibrations, Dated, Kind, LampDrift};
 use crate::measure::frames::{Moment, Taken, same_exposure};
+use crate::measure::linear::Curve;
 use crate::session::{FrameKind, Projection, SessionFolder};
 
 /// The level counts as settled within this of its last value.

@@ -8,7 +8,6 @@
 //! (those of the darks) and dead ones get response 1 with standard error 1: it is the dark's list that leaves them out.
 
 use super::Calibrated;
-use super::curve::Curve;
 use super::darks::{Darks, wanted};
 use super::patch::{NAMES, Patch, channels};
 use super::readings::{Reading, Rules, check_not_all_clipped};
@@ -19,6 +18,7 @@ use crate::math::statistics::Running;
 use crate::measure::RawFrame;
 use crate::measure::calibration::{Calibrations, Dated, FlatField, Kind};
 use crate::measure::frames::{Taken, same_exposure};
+use crate::measure::linear::Curve;
 use crate::session::{FrameKind, Layout, SessionFolder};
 
 /// A response below this is a dead pixel's.

@@ -11,7 +11,6 @@
 //! what the curve leaves unexplained. Not modeled: a curve that differs between pixels, a shutter that opens late by the
 //! same time in every exposure.
 
-use super::curve::Curve;
 use super::curve_fit::{Channel, FEWEST_EXPOSURES, Fit, Group, fit_where_straight, residuals};
 use super::darks::{Darks, wanted};
 use super::drift::Course;
@@ -24,6 +23,7 @@ use super::{Calibrated, LinearityOptions};
 use crate::base::{Error, Result, Watch};
 use crate::measure::calibration::{Calibrations, Dated, Kind, Linearity, TransferPoint};
 use crate::measure::frames::{Taken, same_exposure};
+use crate::measure::linear::Curve;
 use crate::session::{FrameKind, SessionFolder};
 
 /// The response curve and the photon transfer from steady light at many exposures.

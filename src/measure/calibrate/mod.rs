@@ -9,7 +9,6 @@ mod chart;
 mod chart_rates;
 mod color;
 mod corners;
-mod curve;
 mod curve_fit;
 mod dark;
 mod darks;

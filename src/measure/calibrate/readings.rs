@@ -1,6 +1,5 @@
 //! What lit frames read on a patch, and how much they scatter.
 
-use super::curve::Curve;
 use super::darks::{Dark, Darks};
 use super::patch::{NAMES, Patch};
 use super::recording::Reader;
@@ -9,6 +8,7 @@ use crate::base::{Error, Result};
 use crate::measure::RawFrame;
 use crate::measure::calibration::{FlatField, TransferPoint};
 use crate::measure::frames::{Taken, same_exposure, title};
+use crate::measure::linear::Curve;
 
 /// One channel of one frame: weighted means over the spots of the patch.
 #[derive(Debug, Clone, Copy, Default)]

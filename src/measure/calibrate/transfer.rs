@@ -2,13 +2,14 @@
 //!
 //! In the difference everything that repeats cancels: the texture, unequal pixels, dust, the dark.
 
-use super::curve::Curve;
-use super::darks::{Dark, Darks, QUANTIZATION};
+use super::darks::{Dark, Darks};
 use super::least_squares::{Normal, Solution, chi_square_limit};
 use super::patch::{NAMES, Patch};
 use crate::base::{Error, Result};
 use crate::measure::RawFrame;
 use crate::measure::calibration::{Linearity, PhotonTransfer, TransferPoint};
+use crate::measure::dark::QUANTIZATION;
+use crate::measure::linear::Curve;
 use crate::session::Filter;
 
 /// What is known of the noise: `variance = slope signal + read`.

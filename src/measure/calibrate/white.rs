@@ -7,7 +7,6 @@
 //! with brackets for the mean over the projected sample square, weighted by covered area. The lamp's brightness is part of
 //! it: it holds for the lamp as it was.
 
-use super::curve::Curve;
 use super::darks::{Darks, wanted};
 use super::least_squares::excess_variance;
 use super::patch::{NAMES, Patch};
@@ -17,6 +16,7 @@ use super::transfer::Noise;
 use super::{Calibrated, WhiteOptions};
 use crate::base::{Context, Error, Result, Watch};
 use crate::measure::calibration::{Calibrations, Dated, FlatField, Kind, Linearity, WhiteStandard};
+use crate::measure::linear::Curve;
 use crate::session::{FrameKind, Projection, SessionFolder};
 
 /// Frames may differ in rate by this much, relative.

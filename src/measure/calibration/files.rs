@@ -217,20 +217,26 @@ fn free_stem(folder: &Path, header: &Header) -> Result<String> {
     })
 }
 
+/// What to do about a calibration that cannot be used.
+pub(super) const AGAIN: &str =
+    "restore it from a copy, or calibrate again; a folder without it is read without it";
+
 fn read_newest<T: DeserializeOwned>(path: Option<PathBuf>) -> Result<Option<Dated<T>>> {
     let Some(path) = path else {
         return Ok(None);
     };
     let text = crate::session::files::read_text(&path)?;
     let dated: Dated<T> = serde_json::from_str(&text)
-        .context(|| format!("calibration {} is damaged", path.display()))?;
+        .context(|| format!("calibration {} is damaged", path.display()))
+        .map_err(|e| e.with_hint(AGAIN))?;
     if dated.header.format != Header::FORMAT {
         return Err(Error::new(format!(
             "calibration {}: format '{}' where '{}' was expected",
             path.display(),
             dated.header.format,
             Header::FORMAT
-        )));
+        ))
+        .with_hint(AGAIN));
     }
     Ok(Some(dated))
 }

@@ -1,5 +1,6 @@
 //! The flat field's map: OpenEXR beside the JSON file.
 
+use super::files::AGAIN;
 use super::{FlatField, Value};
 use crate::base::{Context, Error, Result};
 use crate::session::files;
@@ -23,7 +24,9 @@ impl FlatField {
     pub(super) fn read_map(&mut self, folder: &Path, size_px: [usize; 2]) -> Result<()> {
         let path = folder.join(&self.file);
         let what = || format!("flat field {} cannot be read", path.display());
-        let bytes = std::fs::read(&path).context(what)?;
+        let bytes = std::fs::read(&path)
+            .context(what)
+            .map_err(|e| e.with_hint(AGAIN))?;
         if files::sha256(&bytes) != self.sha256 {
             return Err(Error::new(format!(
                 "flat field {} is not the one its calibration was written with",
@@ -49,13 +52,15 @@ impl FlatField {
                     values.len(),
                     size_px[0],
                     size_px[1]
-                )));
+                ))
+                .with_hint(AGAIN));
             }
             if !values.iter().all(|v| (0.0..1e3).contains(v)) {
                 return Err(Error::new(format!(
                     "flat field {} holds values that are negative or not finite",
                     path.display()
-                )));
+                ))
+                .with_hint(AGAIN));
             }
         }
         Ok(())
