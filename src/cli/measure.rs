@@ -5,7 +5,7 @@ use super::output::data;
 use super::terminal::Terminal;
 use super::{Outcome, inputs};
 use crate::base::{Context, Error, Result};
-use crate::measure::calibration::{Calibrations, PoseErrors};
+use crate::measure::calibration::{Calibrations, Kind, PoseErrors};
 use crate::measure::{
     self, Crop, CropRule, FrameStatistics, MeasureOptions, MeasureReport, RawFrame,
 };
@@ -292,7 +292,8 @@ fn session(arguments: &SessionArguments) -> Result<Outcome> {
     let (calibrations, used) = match &arguments.calibration {
         Some(folder) => {
             let calibrations = Calibrations::read(folder)?;
-            let used = measured::calibrations_used(folder, &calibrations)?;
+            let mut used = measured::calibrations_used(folder, &calibrations)?;
+            used.retain(|u| arguments.color || u.kind != Kind::Color.name());
             (calibrations, used)
         }
         None => Default::default(),

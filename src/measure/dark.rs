@@ -35,6 +35,9 @@ pub(super) struct Darks {
 /// A value with less than this relative response is not used.
 const BLIND: f32 = 0.05;
 
+/// A value whose response has this relative error is not known: dead, or hot when the flat field was made.
+const UNKNOWN: f32 = 0.5;
+
 /// Rounding to whole raw values alone has this variance.
 pub(super) const QUANTIZATION: f64 = 1.0 / 12.0;
 
@@ -66,26 +69,32 @@ impl Darks {
             }
             masters.push(master);
         }
-        if let Layout::Rgb = field.layout {
-            // A pixel with one hot value is not used at all.
-            for pixel in hot.chunks_mut(3) {
-                let any = pixel.iter().any(|&h| h);
-                pixel.fill(any);
-            }
-        }
-        Ok(Self {
+        let mut darks = Self {
             masters,
             hot,
             field,
             response,
-        })
+        };
+        darks.spread_over_pixels();
+        Ok(darks)
     }
 
-    /// Leaves out values that see next to nothing of an even light.
-    pub(super) fn leave_out_blind(&mut self, flat: &Flat) {
-        for (hot, response) in self.hot.iter_mut().zip(&flat.response) {
-            *hot |= *response < BLIND;
+    /// A pixel with one hot value is not used at all.
+    fn spread_over_pixels(&mut self) {
+        if let Layout::Rgb = self.field.layout {
+            for pixel in self.hot.chunks_mut(3) {
+                let any = pixel.iter().any(|&h| h);
+                pixel.fill(any);
+            }
         }
+    }
+
+    /// Leaves out values that see next to nothing of an even light, or whose response is not known.
+    pub(super) fn leave_out_blind(&mut self, flat: &Flat) {
+        for (i, hot) in self.hot.iter_mut().enumerate() {
+            *hot |= flat.response[i] < BLIND || flat.se[i] >= UNKNOWN;
+        }
+        self.spread_over_pixels();
     }
 
     /// Which values of a window inside the field are hot.
@@ -168,7 +177,7 @@ fn average(
         let steady = spread.iter().zip(&outliers).filter(|(_, hot)| !**hot);
         mean_of(steady.map(|(s, _)| f64::from(*s) / (group.len() as f64 - 1.0)))
     } else {
-        known.map_or(scatter, |k| k.read_noise * k.read_noise)
+        known.map_or(scatter, |k| k.variance_at(group[0].exposure_ms))
     };
     for (i, value) in mean.iter_mut().enumerate() {
         *value = response.linear_mean(*value, field.place(i)) as f32;

@@ -170,10 +170,10 @@ impl Lamp {
         }
     }
 
-    /// The relative variance that levels leave in a ratio of `sample` to `white` signals, each a mean of exposures with
-    /// their weights. The errors of one visit are the same wherever it has a share, and so are those of the first. The
-    /// bend between visits is taken as one standard deviation of what a straight line leaves out.
-    pub(super) fn relative_variance(
+    /// The variance that levels leave in a ratio of `sample` to `white` signals, each given as its parts by exposure, both with
+    /// the ratio as their sum. The errors of one visit are the same wherever it has a share, and so are those of the first.
+    /// The bend between visits is taken as one standard deviation of what a straight line leaves out.
+    pub(super) fn variance(
         &self,
         sample: &[(f64, &Level)],
         white: &[(f64, &Level)],

@@ -12,6 +12,9 @@ use super::field::{Weighted, Weights, Window};
 use super::stack::{Stack, Target};
 use crate::session::Layout;
 
+/// Exposures that one bracket may have.
+pub(super) const MOST_EXPOSURES: usize = 64;
+
 /// Neighbors foretelling more than this fraction of the limit mask a value.
 const FORETOLD: f64 = 0.9;
 
@@ -31,7 +34,7 @@ pub(super) struct Plane {
     /// Rate; 0 where `used` is 0.
     pub(super) rate: Vec<f32>,
     /// Bit e is set when exposure e of the bracket is used.
-    used: Vec<u32>,
+    used: Vec<u64>,
     /// Stacks that are bits of `used`.
     stacks: Vec<usize>,
     /// By bit and channel: the weight of that exposure.
@@ -92,10 +95,7 @@ impl Plane {
     fn of(stacks: &[Stack], target: &Target<'_>, slope: [f64; 3], channel: Option<usize>) -> Self {
         let window = &target.window;
         let sees = |s: &Stack| channel.is_none_or(|c| s.sees(c)) && !s.signal.is_empty();
-        let mine: Vec<usize> = (0..stacks.len())
-            .filter(|&i| sees(&stacks[i]))
-            .take(32)
-            .collect();
+        let mine: Vec<usize> = (0..stacks.len()).filter(|&i| sees(&stacks[i])).collect();
         let weights = inverse_variances(stacks, &mine, target.weights, slope, channel);
         let mut plane = Self {
             rate: vec![0.0; window.len()],

@@ -27,12 +27,14 @@ pub(super) struct Scatter {
     pub(super) between_frames: f64,
 }
 
-/// One estimate of the slope: `y = a x`, with the variance of y.
+/// One estimate of the slope from n pixels: `mean square = a x + constant`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Cell {
     pub(super) x: f64,
+    /// What was found less the constant.
     pub(super) y: f64,
-    pub(super) variance: f64,
+    pub(super) constant: f64,
+    pub(super) n: f64,
 }
 
 /// Where the noise of the session is known from.
@@ -96,21 +98,33 @@ pub(super) fn pair_cells(first: &Sample, second: &Sample, target: &Target<'_>) -
                 first.dark_variance / first.dark_count
                     + k * k * second.dark_variance / second.dark_count
             };
+            let constant = first.dark_variance + k * k * second.dark_variance + darks;
             Some(Cell {
                 x: mean_1 + k * k * mean_2,
-                y: difference - first.dark_variance - k * k * second.dark_variance - darks,
-                variance: 2.0 * difference * difference / n,
+                y: difference - constant,
+                constant,
+                n,
             })
         })
         .collect()
 }
 
-/// The slope of all cells (weighted least squares through the origin) and its standard error; none without cells.
+/// The slope of all cells (weighted least squares through the origin) and its standard error; none without cells. A cell's
+/// variance `2 (a x + constant)^2 / n` is taken at the slope of the round before, not from what it happened to scatter.
 pub(super) fn slope(cells: &[Cell]) -> Option<(f64, f64)> {
-    let (mut xy, mut xx) = (0.0, 0.0);
-    for cell in cells.iter().filter(|c| c.variance > 0.0) {
-        xy += cell.x * cell.y / cell.variance;
-        xx += cell.x * cell.x / cell.variance;
+    let sum = |of: fn(&Cell) -> f64| cells.iter().map(of).sum::<f64>();
+    let mut slope = (sum(|c| c.y) / sum(|c| c.x)).max(0.0);
+    let mut information = 0.0;
+    for _ in 0..6 {
+        let mut xy = 0.0;
+        information = 0.0;
+        for cell in cells {
+            let weight = 0.5 * cell.n / (slope * cell.x + cell.constant).powi(2);
+            xy += weight * cell.x * cell.y;
+            information += weight * cell.x * cell.x;
+        }
+        slope = (xy / information).max(0.0);
     }
-    (xx > 0.0).then(|| ((xy / xx).max(0.0), (1.0 / xx).sqrt()))
+    let known = slope.is_finite() && information > 0.0;
+    known.then(|| (slope, (1.0 / information).sqrt()))
 }

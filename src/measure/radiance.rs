@@ -41,7 +41,14 @@ impl Radiance {
                 let (x, y) = window.pixel(index);
                 let scale = scale(white, flat, c, index, (x, y));
                 let (mut rate, mut shot, mut constant) = (0.0, 0.0, 0.0);
-                for share in merged.plane(c).shares(stacks, index, c) {
+                let plane = merged.plane(c);
+                if !plane.is_kept(index) {
+                    values.value.push(0.0);
+                    values.shot.push(0.0);
+                    values.constant.push(0.0);
+                    continue;
+                }
+                for share in plane.shares(stacks, index, c) {
                     let s = &stacks[share.stack];
                     let signal = f64::from(s.signal[index]);
                     rate += share.part * signal;

@@ -7,7 +7,7 @@ use super::field::{Weights, Window};
 use super::frames::{Loader, Taken};
 use super::geometry::{GeometryErrors, Movable};
 use super::lamp::{Lamp, Level};
-use super::merge::Merged;
+use super::merge::{MOST_EXPOSURES, Merged};
 use super::noise::{Cell, Scatter};
 use super::radiance::{Radiance, scale};
 use super::repeat::{Deviation, deviations};
@@ -176,6 +176,14 @@ impl Reader<'_> {
         };
         if reading.unseen.is_some() {
             return Ok(reading);
+        }
+        if stacks.len() > MOST_EXPOSURES {
+            return Err(Error::new(format!(
+                "configuration {}: {} exposures in one bracket, expected at most {MOST_EXPOSURES}",
+                configuration.id,
+                stacks.len()
+            ))
+            .with_hint("leave some out of the journal, or measure in two sessions"));
         }
         let merged = Merged::of(&stacks, &target, self.scatter.slope);
         let of_stack = |&(stack, n): &(usize, usize)| (stacks[stack].exposure_ms, n);

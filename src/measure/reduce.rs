@@ -15,6 +15,9 @@ use crate::session::{Configuration, Intensity};
 /// What a lamp that was looked at another day may differ by, relative.
 const OTHER_DAY: f64 = 0.02;
 
+/// A black level may wander by this from frame to frame, raw values.
+const BLACK_LEVEL_WANDER: f64 = 0.3;
+
 /// What all configurations are reduced with.
 pub(super) struct Reducer<'a> {
     pub(super) white: &'a White,
@@ -92,11 +95,21 @@ impl Reducer<'_> {
                 .with_hint("a number of the plan, session.json or a calibration has no meaning: check them"));
             }
         }
-        if let Some(color) = self.color {
-            (mean, report.budget) = converted(color, mean, &report.budget);
-        }
-        report.measured = mean.iter().all(|&m| m > 0.0);
+        // Judged in the camera's own colors: others may come from differences.
         let noisy = (0..3).any(|c| report.budget[c].noise() > self.options.underexposed * mean[c]);
+        report.measured = mean.iter().all(|&m| m > 0.0);
+        if let Some(color) = self.color {
+            (mean, report.budget) = self.converted(color, mean, &report.budget, channels);
+            if report.measured && !mean.iter().all(|&m| m > 0.0) {
+                report.measured = false;
+                report.condition = Condition::OutsideColorSpace;
+                report.message = Some(format!(
+                    "configuration {id} lies outside the color space {}: {mean:.5?}; left out: measure it without --color",
+                    color.space
+                ));
+                return Ok((None, report));
+            }
+        }
         if noisy || !report.measured {
             report.condition = Condition::UnderExposed;
             let longest = report.exposures_ms.last().copied().unwrap_or(0.0);
@@ -117,25 +130,22 @@ impl Reducer<'_> {
     fn budget(&self, reading: &Reading, sums: &ChannelSums, c: usize) -> Budget {
         let slope = self.scatter.slope[c];
         let m = sums.mean;
-        let parts: Vec<f64> = sums.shares.iter().map(|d| d / m).collect();
-        let levels = reading.exposures.iter().zip(&parts);
-        let levels: Vec<(f64, &Level)> = levels.map(|(e, part)| (*part, &e.level)).collect();
-        let white_levels: Vec<(f64, &Level)> =
-            self.white.levels[c].iter().map(|(w, l)| (*w, l)).collect();
-        let mut drift = self
-            .lamp
-            .relative_variance(&levels, &white_levels, c, &self.scatter);
+        let levels = reading.exposures.iter().zip(&sums.shares);
+        let levels: Vec<(f64, &Level)> = levels.map(|(e, share)| (*share, &e.level)).collect();
+        let white_levels = self.white.levels[c].iter();
+        let white_levels: Vec<(f64, &Level)> = white_levels.map(|(w, l)| (m * w, l)).collect();
+        let mut drift = self.lamp.variance(&levels, &white_levels, c, &self.scatter);
         if self.white.from_calibration {
-            drift += OTHER_DAY * OTHER_DAY;
+            drift += (m * OTHER_DAY).powi(2);
         }
         let frames: f64 = reading
             .exposures
             .iter()
-            .zip(&parts)
-            .filter(|(_, part)| **part != 0.0)
-            .map(|(e, part)| part * part / e.repeats)
+            .zip(&sums.shares)
+            .filter(|(_, share)| **share != 0.0)
+            .map(|(e, share)| share * share / e.repeats)
             .sum();
-        let between = self.scatter.between_frames * (frames + self.white.flicker[c]).sqrt();
+        let between = self.scatter.between_frames * (frames + m * m * self.white.flicker[c]).sqrt();
         let flat = match (self.white_flat, &self.options.calibrations.flat) {
             (Some(flat), Some(known)) => {
                 let white = self.white.flat_variance(c, flat);
@@ -154,19 +164,23 @@ impl Reducer<'_> {
             flat: flat.max(0.0).sqrt(),
             white: self.white.variance(c, &sums.white, &self.scatter).sqrt(),
             reference: m.abs() * self.white.radiance_se[c],
-            drift: m.abs() * drift.sqrt(),
+            drift: drift.sqrt(),
             geometry: (reading.geometry[c] + (m * of_white).powi(2)).sqrt(),
-            repeatability: m.abs() * between,
+            repeatability: between,
             color: 0.0,
         }
     }
 
     /// Fails when a frame is darker than its dark by more than noise explains.
     fn check_dark(&self, reading: &Reading, c: usize) -> Result<()> {
-        for exposure in &reading.exposures {
-            let Some((signal, shot, constant)) = exposure.mean[c] else {
+        let used = reading.channels.iter().flat_map(|all| &all[c].shares);
+        for (exposure, share) in reading.exposures.iter().zip(used) {
+            let Some((signal, shot, constant)) = exposure.mean[c].filter(|_| *share != 0.0) else {
                 continue;
             };
+            if signal > -BLACK_LEVEL_WANDER {
+                continue;
+            }
             let deviation = signal / (self.scatter.slope[c] * shot + constant).sqrt();
             if deviation < -6.0 {
                 let [left, top, right, bottom] = reading.bounds;
@@ -181,47 +195,46 @@ impl Reducer<'_> {
         }
         Ok(())
     }
+
+    /// Means and budgets in another color space. Parts that the three channels have in common add up with their signs where
+    /// those are known (response curve) or are the same (reference, drift, flicker), and at their worst where they are not
+    /// (geometry); the others add up as squares.
+    fn converted(
+        &self,
+        color: &ColorMatrix,
+        mean: [f64; 3],
+        from: &[Budget; 3],
+        channels: &[ChannelSums; 3],
+    ) -> ([f64; 3], [Budget; 3]) {
+        let budget = |i: usize| {
+            let row = color.matrix[i];
+            let sum = |value: &dyn Fn(usize) -> f64| (0..3).map(value).sum::<f64>();
+            let apart =
+                |part: &dyn Fn(&Budget) -> f64| sum(&|j| (row[j] * part(&from[j])).powi(2)).sqrt();
+            let together = |part: &dyn Fn(&Budget) -> f64| sum(&|j| row[j] * part(&from[j])).abs();
+            let derivatives: Vec<f64> = (0..self.response.order())
+                .map(|k| sum(&|j| row[j] * channels[j].by_response[k]))
+                .collect();
+            let matrix = sum(&|j| sum(&|k| mean[j] * color.covariance[i][j][k] * mean[k]));
+            Budget {
+                shot: apart(&|b| b.shot),
+                read: apart(&|b| b.read),
+                dark: apart(&|b| b.dark),
+                sampling: apart(&|b| b.sampling),
+                linearity: self.response.variance(&derivatives).sqrt(),
+                flat: apart(&|b| b.flat),
+                white: apart(&|b| b.white),
+                reference: together(&|b| b.reference),
+                drift: together(&|b| b.drift),
+                geometry: sum(&|j| (row[j] * from[j].geometry).abs()),
+                repeatability: together(&|b| b.repeatability),
+                color: matrix.max(0.0).sqrt(),
+            }
+        };
+        let converted = |i: usize| (0..3).map(|j| color.matrix[i][j] * mean[j]).sum();
+        ([0, 1, 2].map(converted), [0, 1, 2].map(budget))
+    }
 }
 
 /// How messages call the channels.
 pub(super) const COLORS: [&str; 3] = ["red", "green", "blue"];
-
-/// Means and budgets in another color space. Parts that the three channels of a frame have in common add up with their
-/// signs, the others as squares.
-fn converted(color: &ColorMatrix, mean: [f64; 3], from: &[Budget; 3]) -> ([f64; 3], [Budget; 3]) {
-    let row = |i: usize, value: &dyn Fn(usize) -> f64| -> f64 {
-        (0..3).map(|j| color.matrix[i][j] * value(j)).sum()
-    };
-    let budget = |i: usize| {
-        let apart = |part: &dyn Fn(&Budget) -> f64| -> f64 {
-            let squares = (0..3).map(|j| (color.matrix[i][j] * part(&from[j])).powi(2));
-            squares.sum::<f64>().sqrt()
-        };
-        let together = |part: &dyn Fn(&Budget) -> f64| row(i, &|j| part(&from[j])).abs();
-        let matrix: f64 = (0..3)
-            .map(|j| -> f64 {
-                (0..3)
-                    .map(|k| mean[j] * color.covariance[i][j][k] * mean[k])
-                    .sum()
-            })
-            .sum();
-        Budget {
-            shot: apart(&|b| b.shot),
-            read: apart(&|b| b.read),
-            dark: apart(&|b| b.dark),
-            sampling: apart(&|b| b.sampling),
-            linearity: together(&|b| b.linearity),
-            flat: apart(&|b| b.flat),
-            white: apart(&|b| b.white),
-            reference: together(&|b| b.reference),
-            drift: together(&|b| b.drift),
-            geometry: together(&|b| b.geometry),
-            repeatability: together(&|b| b.repeatability),
-            color: matrix.max(0.0).sqrt(),
-        }
-    };
-    (
-        [0, 1, 2].map(|i| row(i, &|j| mean[j])),
-        [0, 1, 2].map(budget),
-    )
-}

@@ -78,6 +78,8 @@ pub enum Condition {
     Saturated,
     /// Left out: the journal has no frame of it.
     NotCaptured,
+    /// Left out: converted to the color space of the color calibration, a channel is not positive.
+    OutsideColorSpace,
 }
 
 /// Where one channel's standard error comes from: one standard deviation each, normalized radiance.

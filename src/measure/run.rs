@@ -64,7 +64,14 @@ pub fn measure_viewed(
     let plan = session.plan()?;
     let journal = read_journal(&session.journal_path())?;
     let finished = journal.iter().any(|e| e.event == Event::Finished);
-    let frames = taken(journal);
+    let mut frames = taken(journal);
+    // What calibrations are made from says nothing of the sample.
+    frames.retain(|f| {
+        !matches!(
+            f.record.kind,
+            FrameKind::Flat | FrameKind::Chart | FrameKind::Board
+        )
+    });
     let known = &options.calibrations;
     check_calibrations(known, &manifest)?;
     let needs_white = known.white.is_none();
@@ -133,7 +140,7 @@ impl Work<'_> {
             .context(|| "reference geometry")?;
         let errors = GeometryErrors::new(known.geometry.as_ref().map(|g| &g.value), options.pose);
         let side_px = self.manifest.sample_square_mm / self.camera.pixel_mm;
-        let around = MARGIN.max((SURROUNDINGS * side_px) as usize);
+        let around = MARGIN.max((SURROUNDINGS * side_px).clamp(0.0, 1e3) as usize);
         let margin = around + errors.margin(&self.camera, self.manifest.sample_square_mm);
         let size = [self.camera.width, self.camera.height];
         let reference_box = reference_crop.coverage.bounds();
@@ -148,6 +155,13 @@ impl Work<'_> {
             options.hot_sigma,
         )?;
         let flat_map = known.flat.as_ref().map(|f| &f.value);
+        let values = size[0] * size[1] * layout.values_per_pixel();
+        if flat_map.is_some_and(|f| f.response.len() != values) {
+            return Err(Error::new(format!(
+                "the flat field calibration is of frames with another number of values per pixel than the session's ({layout})"
+            ))
+            .with_hint("calibrate the flat field with frames of the session's kind"));
+        }
         if let Some(flat) = Flat::of(flat_map, &field) {
             darks.leave_out_blind(&flat);
         }
@@ -294,11 +308,19 @@ impl Work<'_> {
         };
         let pose = &reference.configuration;
         let apart = |a: f64, b_deg: f64| (a.to_degrees() - b_deg).abs() > 0.5;
+        let between = |a: f64, b: f64| {
+            let apart = (a - b).rem_euclid(360.0);
+            apart.min(360.0 - apart)
+        };
+        let azimuth = between(pose.light.phi.to_degrees(), pose.camera.phi.to_degrees());
+        let known_azimuth = between(known.light_phi_deg, known.camera_phi_deg);
+        let slanted = known.light_theta_deg.min(known.camera_theta_deg) > 0.5;
         if apart(pose.light.theta, known.light_theta_deg)
             || apart(pose.camera.theta, known.camera_theta_deg)
+            || (slanted && (azimuth - known_azimuth).abs() > 0.5)
         {
             return Err(Error::new(format!(
-                "the white calibration of '{}' is for light {} and camera {} degrees, the session's white standard was shot at light {} and camera {} degrees",
+                "the white calibration of '{}' is for light {} and camera {} degrees, {known_azimuth:.1} degrees of azimuth apart; the session's white standard was shot at light {} and camera {} degrees, {azimuth:.1} apart",
                 known.panel,
                 known.light_theta_deg,
                 known.camera_theta_deg,

@@ -200,7 +200,13 @@ impl White {
 
     fn empty(reference: &WhiteReference, place: &WhitePlace<'_>, order: usize) -> Self {
         let bounds = place.target.window.bounds;
-        let center = place.center;
+        // A crop far from the sample center is fitted about its own middle.
+        let inside = |k: usize| (bounds[k] as f64..bounds[k + 2] as f64).contains(&place.center[k]);
+        let center = if inside(0) && inside(1) {
+            place.center
+        } else {
+            [0, 1].map(|k| 0.5 * (bounds[k] + bounds[k + 2]) as f64)
+        };
         let far = |low: usize, high: usize, c: f64| {
             let (low, high) = (low as f64, high as f64);
             if c - low > high - c { low } else { high }
@@ -305,7 +311,8 @@ impl White {
             .map(|fit| Cell {
                 x: fit.variance[0],
                 y: fit.residual - fit.variance[1],
-                variance: 2.0 * fit.residual * fit.residual / fit.pixels,
+                constant: fit.variance[1],
+                n: fit.pixels,
             })
             .collect()
     }

@@ -38,6 +38,28 @@ pub struct DarkCurrent {
     pub exposures: Vec<DarkExposure>,
 }
 
+impl DarkCurrent {
+    /// Variance of one raw value without light at an exposure time, milliseconds: on straight lines between the exposures it
+    /// was made from, and as at the nearest one beyond them.
+    pub fn variance_at(&self, exposure_ms: f64) -> f64 {
+        let after = self
+            .exposures
+            .iter()
+            .position(|e| e.exposure_ms >= exposure_ms);
+        let square = |i: usize| self.exposures[i].sigma.powi(2);
+        match after {
+            _ if self.exposures.is_empty() => self.read_noise.powi(2),
+            None => square(self.exposures.len() - 1),
+            Some(0) => square(0),
+            Some(i) => {
+                let [low, high] = [&self.exposures[i - 1], &self.exposures[i]];
+                let along = (exposure_ms - low.exposure_ms) / (high.exposure_ms - low.exposure_ms);
+                square(i - 1) + along * (square(i) - square(i - 1))
+            }
+        }
+    }
+}
+
 /// A pixel whose dark current stands out.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
