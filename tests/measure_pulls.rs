@@ -6,6 +6,7 @@ mod virtual_session;
 
 use goniofit::math::statistics::Running;
 use goniofit::measure::MeasureOptions;
+use goniofit::measure::calibration::PoseErrors;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use virtual_session::Setup;
@@ -46,17 +47,37 @@ fn stated_errors_are_right_without_texture_and_with_repeats() {
     assert!(good.is_ok(), "{good:?}");
 }
 
-/// A rig with every fault, whose longest exposures clip, in front of a cloth with glints, and a certificate that is good
-/// enough for the other errors to show.
+/// How far poses are off, and are said to be.
+const POSE: PoseErrors = PoseErrors {
+    camera_theta_deg: 0.1,
+    light_theta_deg: 0.1,
+    rotation_deg: 0.1,
+    height_mm: 0.05,
+};
+
+/// Steady while the white is exchanged for the sample; then it warms up and fades.
+fn lamp(x: f64, _: usize) -> [f64; 3] {
+    [0.03, 0.025, 0.035].map(|d| 1.0 - d * x + 0.01 * (1.0 - (-3.0 * x).exp()))
+}
+
+/// A rig with every fault, whose longest exposures clip, in front of a cloth with glints. Its lens blurs as much as its
+/// pixels are wide, and its certificate is good, so that texture between the pixels and the standard do not hide the
+/// other errors.
 fn rig(seed: u64) -> Setup {
-    Setup {
+    let mut setup = Setup {
         exposures_ms: vec![2.0, 16.0, 128.0],
-        dark_exposures_ms: vec![2.0, 16.0, 128.0],
-        reference_exposures_ms: vec![2.0, 16.0],
+        dark_exposures_ms: vec![2.0, 6.0, 16.0, 128.0],
+        reference_exposures_ms: vec![6.0],
+        lamp: Some(lamp),
+        grain: 0.2,
         glints: 2,
         white_se: 0.001,
+        pose_sd: POSE,
+        pointing_sd_px: [0.2, 0.2],
         ..Setup::faulty(seed)
-    }
+    };
+    setup.sensor.optics.blur_px = 0.8;
+    setup
 }
 
 /// The cells of every session, each of a rig with calibrations of its own; `spoil` is what the operator does wrong.
@@ -144,4 +165,45 @@ fn stated_errors_are_right_through_the_whole_chain_with_every_fault() {
         bias.mean().abs() + 3.0 * bias.standard_error() < 1e-3,
         "{bias:?}"
     );
+}
+
+/// Negative control: 24 sessions in which something is done wrong must not pass.
+fn assert_caught(name: &str, seed: u64, spoil: impl Fn(&mut Setup, &mut MeasureOptions) + Sync) {
+    let n = std::env::var("CONTROLS").map_or(24, |s| s.parse().unwrap());
+    let bad = verdict(&pulls_of(&through_the_chain(n, seed, spoil)));
+    println!("{name}: {bad:?}");
+    assert!(bad.is_err(), "{name} passed: {bad:?}");
+}
+
+#[test]
+fn what_is_done_wrong_is_caught_by_the_same_verdict() {
+    let seed = seed(20_260_902);
+    assert_caught("darks two raw values too high", seed, |setup, _| {
+        for black in &mut setup.dark_sensor.black {
+            *black += 2.0;
+        }
+    });
+    assert_caught("no saturation mask", seed + 100, |_, options| {
+        options.usable_fraction = 2.0;
+        let linearity = options.calibrations.linearity.as_mut().unwrap();
+        linearity.value.usable[1] = 2.0;
+    });
+    assert_caught(
+        "a white that is 1 at all angles",
+        seed + 200,
+        |_, options| {
+            let white = options.calibrations.white.as_mut().unwrap();
+            white.value.reflectance_factor = [1.0; 3];
+        },
+    );
+    assert_caught("linearity ignored", seed + 300, |_, options| {
+        options.calibrations.linearity = None;
+    });
+    assert_caught("geometry errors not stated", seed + 400, |_, options| {
+        let geometry = &mut options.calibrations.geometry.as_mut().unwrap().value;
+        geometry.pose = PoseErrors::default();
+        geometry.pointing_sd_px = [0.0; 2];
+        geometry.center_px_se = [0.0; 2];
+        geometry.pixel_mm_se = 0.0;
+    });
 }
