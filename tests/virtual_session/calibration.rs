@@ -8,7 +8,7 @@ use goniofit::session::{Configuration, FrameKind, SessionFolder};
 use std::path::Path;
 
 /// Level of the flats and of the chart, of full scale in the brightest channel.
-const FLAT_LEVEL: f64 = 0.6;
+const FLAT_LEVEL: f64 = 0.4;
 
 fn head_on(id: u32) -> Configuration {
     Configuration {

@@ -11,10 +11,11 @@ use goniofit::measure::calibration::Calibrations;
 /// Where the darks are shot, milliseconds: around the exposures of sessions.
 const DARKS_MS: [f64; 4] = [1.0, 16.0, 64.0, 160.0];
 
-/// The lamp of the drift session: it warms up within minutes and fades by 4 % an hour.
+/// The lamp of the drift session: it settles within an hour and fades by 4 % an hour. One that warms up between two visits
+/// would be taken for flicker.
 pub fn lamp(elapsed_s: f64) -> [f64; 3] {
     let hours = elapsed_s / 3600.0;
-    [1.0, 0.9, 1.1].map(|c| 1.0 - 0.04 * c * hours - 0.02 * (-elapsed_s / 240.0).exp())
+    [1.0, 0.9, 1.1].map(|c| 1.0 - 0.04 * c * hours - 0.01 * (-elapsed_s / 1800.0).exp())
 }
 
 /// The rig's calibrations but color; that of geometry states the errors which the setup's poses are drawn from.
