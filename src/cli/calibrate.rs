@@ -99,7 +99,7 @@ struct LinearityArguments {
     #[arg(long = "box", value_name = "X,Y,W,H", value_parser = parse_box)]
     region: Option<[usize; 4]>,
     /// Highest power of the signal in the correction
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=3))]
     max_order: u8,
 }
 

@@ -1,12 +1,14 @@
 //! How bright the lamp was at every moment, from the visits of the reference pose.
 //!
-//! Between two visits of a stretch the level runs in a straight line, outside them it is the nearest visit's. How far the
-//! line may be off is told from how the visits bend. What it does not do: see a flicker between two visits.
+//! Between two visits of a stretch the level runs along the mean of the parabolas through them and a neighbor, outside them
+//! it is the nearest visit's. How far that may be off is told from how much the parabolas differ. What it does not do: see a
+//! flicker between two visits.
 
 use super::frames::{Moment, Taken};
 use super::noise::Scatter;
 use super::visit::Visit;
 use serde::Serialize;
+use std::ops::RangeInclusive;
 
 /// A change of the lamp over the session that is worth a warning.
 const LARGE: f64 = 0.05;
@@ -51,8 +53,8 @@ pub(super) struct Level {
     shares: Vec<[f64; 3]>,
     /// Share of frames in stretches without a visit.
     unknown: f64,
-    /// How far a parabola through neighboring visits lies off the straight line, r, g, b.
-    bend: [f64; 3],
+    /// By visit: the sum of these parts of the levels is how far the course between visits may be off, r, g, b.
+    bend: Vec<[f64; 3]>,
 }
 
 impl Default for Level {
@@ -61,7 +63,7 @@ impl Default for Level {
             value: [1.0; 3],
             shares: Vec::new(),
             unknown: 0.0,
-            bend: [0.0; 3],
+            bend: Vec::new(),
         }
     }
 }
@@ -109,7 +111,7 @@ impl Lamp {
             value: [0.0; 3],
             shares: vec![[0.0; 3]; self.visits.len()],
             unknown: 0.0,
-            bend: [0.0; 3],
+            bend: vec![[0.0; 3]; self.visits.len()],
         };
         for moment in moments {
             self.add_shares(moment, part, &mut level);
@@ -147,32 +149,68 @@ impl Lamp {
                     level.shares[v][c] += part * along;
                     level.shares[v - 1][c] += part * (1.0 - along);
                     let area = (moment.elapsed_s - time(v - 1)) * (moment.elapsed_s - time(v));
-                    level.bend[c] += part * area * self.curvature(v, &(first..=last), c);
+                    self.bend(v, first..=last, c, part * area, level);
                 }
             }
         }
     }
 
-    /// Second divided difference of the level around the gap between visits v - 1 and v: the mean of those with the visit
-    /// before and with the one after, as far as they are of this stretch; 0 with neither.
-    fn curvature(&self, v: usize, stretch: &std::ops::RangeInclusive<usize>, c: usize) -> f64 {
-        let time = |i: usize| self.visits[i].seconds[c];
-        // A clock that stood still between two visits tells no slope.
-        let over = |change: f64, s: f64| if s > 0.0 { change / s } else { 0.0 };
-        let level = |i: usize| self.visits[i].level[c];
-        let slope = |i: usize| over(level(i + 1) - level(i), time(i + 1) - time(i));
-        let triple = |i: usize| over(slope(i + 1) - slope(i), time(i + 2) - time(i));
-        let before = (v > *stretch.start() + 1).then(|| triple(v - 2));
-        let after = (v < *stretch.end()).then(|| triple(v - 1));
-        match (before, after) {
-            (Some(a), Some(b)) => 0.5 * (a + b),
-            (one, other) => one.or(other).unwrap_or(0.0),
+    /// Bends the straight line between visits v - 1 and v to the mean of the parabolas with the visit before and with the
+    /// one after, as far as they are of this stretch. The course is uncertain by half of what those two differ by; where
+    /// there is but one, by what it differs from its neighbor; and where there is no other, by the whole bend.
+    fn bend(
+        &self,
+        v: usize,
+        stretch: RangeInclusive<usize>,
+        c: usize,
+        area: f64,
+        level: &mut Level,
+    ) {
+        let (first, last) = stretch.into_inner();
+        let before = (v >= first + 2).then(|| v - 2);
+        let after = (v < last).then(|| v - 1);
+        let parabolas: Vec<usize> = before.into_iter().chain(after).collect();
+        let neighbor = match parabolas[..] {
+            [one] if before.is_some() => (one > first).then(|| one - 1),
+            [one] => (one + 3 <= last).then(|| one + 1),
+            _ => None,
+        };
+        let each = area / parabolas.len() as f64;
+        let add = |parts: &mut [[f64; 3]], at: usize, factor: f64| {
+            for (part, by) in parts[at..].iter_mut().zip(self.second_difference(at, c)) {
+                part[c] += factor * by;
+            }
+        };
+        for &at in &parabolas {
+            add(&mut level.shares, at, each);
         }
+        if let [one, other] = parabolas[..] {
+            add(&mut level.bend, one, 0.5 * area);
+            add(&mut level.bend, other, -0.5 * area);
+        } else if let [one] = parabolas[..] {
+            add(&mut level.bend, one, area);
+            if let Some(other) = neighbor {
+                add(&mut level.bend, other, -area);
+            }
+        }
+    }
+
+    /// The second divided difference of the levels of visit `at` and the next two, per level.
+    fn second_difference(&self, at: usize, channel: usize) -> [f64; 3] {
+        let [a, b, c] = [0, 1, 2].map(|k| self.visits[at + k].seconds[channel]);
+        if !(a < b && b < c) {
+            // A clock that stood still between two visits tells no slope.
+            return [0.0; 3];
+        }
+        [
+            1.0 / ((b - a) * (c - a)),
+            -1.0 / ((b - a) * (c - b)),
+            1.0 / ((c - a) * (c - b)),
+        ]
     }
 
     /// The variance that levels leave in a ratio of `sample` to `white` signals, each given as its parts by exposure, both with
     /// the ratio as their sum. The errors of one visit are the same wherever it has a share, and so are those of the first.
-    /// The bend between visits is taken as one standard deviation of what a straight line leaves out.
     pub(super) fn variance(
         &self,
         sample: &[(f64, &Level)],
@@ -181,28 +219,35 @@ impl Lamp {
         scatter: &Scatter,
     ) -> f64 {
         let (mut own, mut first) = (0.0, 0.0);
-        for (v, visit) in self.visits.iter().enumerate().skip(1) {
-            let part = |levels: &[(f64, &Level)]| -> f64 {
-                let parts = levels
-                    .iter()
-                    .map(|(w, l)| w * l.shares[v][channel] / l.value[channel]);
-                parts.sum()
+        let (mut bend, mut of_noise) = (0.0, 0.0);
+        for (v, visit) in self.visits.iter().enumerate() {
+            let part = |of: fn(&Level) -> &[[f64; 3]]| -> f64 {
+                let sum = |levels: &[(f64, &Level)]| -> f64 {
+                    let parts = levels.iter();
+                    parts
+                        .map(|(w, l)| w * of(l)[v][channel] / l.value[channel])
+                        .sum()
+                };
+                (sum(sample) - sum(white)) * visit.level[channel]
             };
-            let part = (part(sample) - part(white)) * visit.level[channel];
-            own += part * part * visit.own[channel].at(scatter, channel);
+            let variance = visit.own[channel].at(scatter, channel);
+            let off = part(|l| &l.bend);
+            bend += off;
+            of_noise += off * off * variance;
+            if v == 0 {
+                // Its level is 1 by definition; its noise is in the others'.
+                continue;
+            }
+            let part = part(|l| &l.shares);
+            own += part * part * variance;
             first += part * visit.first[channel].at(scatter, channel).sqrt();
         }
         let unknown = |levels: &[(f64, &Level)]| -> f64 {
             levels.iter().map(|(w, l)| w * l.unknown).sum::<f64>() * self.unknown(channel)
         };
-        let bend = |levels: &[(f64, &Level)]| -> f64 {
-            let bends = levels
-                .iter()
-                .map(|(w, l)| w * l.bend[channel] / l.value[channel]);
-            bends.sum()
-        };
-        let bend = bend(sample) - bend(white);
-        own + first * first + bend * bend + unknown(sample).powi(2) + unknown(white).powi(2)
+        // The visits' noise alone makes parabolas differ.
+        let bend = (bend * bend - of_noise).max(0.0);
+        own + first * first + bend + unknown(sample).powi(2) + unknown(white).powi(2)
     }
 
     /// The standard uncertainty of the level in a stretch nobody looked at the lamp in: the range of all levels seen, or

@@ -1,9 +1,9 @@
 //! Whether stated errors are right: (measured - truth) / stated standard error over many sessions.
 
-use super::{Setup, folder, record};
+use super::{Setup, TRUE_WHITE, folder, record};
 use goniofit::base::Unwatched;
 use goniofit::math::statistics::{Running, sidak_level};
-use goniofit::measure::{MeasureOptions, measure_session};
+use goniofit::measure::{Budget, MeasureOptions, measure_session};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
@@ -11,23 +11,63 @@ pub fn seed(default: u64) -> u64 {
     std::env::var("SEED").map_or(default, |s| s.parse().unwrap())
 }
 
+/// One channel of one configuration, measured.
+pub struct Cell {
+    pub truth: f64,
+    /// (Measured - truth) / truth.
+    pub error: f64,
+    /// The same, less the part of it that comes from the certificate of the white standard, which is known here.
+    pub own_error: f64,
+    pub budget: Budget,
+}
+
+impl Cell {
+    pub fn pull(&self) -> f64 {
+        self.error * self.truth / self.budget.total()
+    }
+
+    /// The part of the budget that is largest.
+    pub fn dominated_by(&self) -> &'static str {
+        let parts = self.budget.parts().into_iter();
+        parts.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap().0
+    }
+
+    /// Shot, read and dark noise are below 0.2 % of the mean.
+    pub fn is_well_lit(&self) -> bool {
+        let b = &self.budget;
+        let noise = b.shot.hypot(b.read).hypot(b.dark);
+        noise < 0.002 * self.truth
+    }
+}
+
+/// Records one session and measures it: 3 x configurations.
+pub fn cells(setup: &Setup, options: &MeasureOptions) -> Vec<Cell> {
+    let folder = folder();
+    let session = record(folder.path(), setup);
+    let (measured, report) = measure_session(&session, options, &Unwatched).unwrap();
+    assert_eq!(measured.intensities.len(), setup.poses.len(), "{report:?}");
+    let stated = setup.stated_white().reflectance_factor;
+    let found = measured.intensities.iter().zip(&report.configurations);
+    let found = found.zip(&setup.poses);
+    found
+        .flat_map(|((m, report), &(_, _, truth))| {
+            (0..3).map(move |c| Cell {
+                truth: truth[c],
+                error: m.mean[c] / truth[c] - 1.0,
+                own_error: m.mean[c] / truth[c] - stated[c] / TRUE_WHITE[c],
+                budget: report.budget[c],
+            })
+        })
+        .collect()
+}
+
 /// The pulls of every session: one list of 3 x configurations each.
 pub fn pulls(n_sessions: u64, setup: impl Fn(u64) -> Setup + Sync) -> Vec<Vec<f64>> {
     (0..n_sessions)
         .into_par_iter()
         .map(|i| {
-            let setup = setup(i);
-            let folder = folder();
-            let session = record(folder.path(), &setup);
-            let (measured, report) =
-                measure_session(&session, &MeasureOptions::default(), &Unwatched).unwrap();
-            assert_eq!(measured.intensities.len(), setup.poses.len(), "{report:?}");
-            let pairs = measured.intensities.iter().zip(&setup.poses);
-            pairs
-                .flat_map(|(m, &(_, _, truth))| {
-                    (0..3).map(move |c| (m.mean[c] - truth[c]) / m.standard_error[c])
-                })
-                .collect()
+            let found = cells(&setup(i), &MeasureOptions::default());
+            found.iter().map(Cell::pull).collect()
         })
         .collect()
 }

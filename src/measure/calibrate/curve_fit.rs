@@ -83,7 +83,7 @@ pub(super) fn fit_where_straight(
 ) -> Result<(Vec<Group>, Fit)> {
     groups.sort_by(|a, b| a.exposure_ms.total_cmp(&b.exposure_ms));
     loop {
-        let fit = fit_best(&groups, full_scale, max_order)?;
+        let fit = fit(&groups, full_scale, max_order)?;
         let curve = Curve::new(fit.coefficients().to_vec(), full_scale, [0.0; 4]);
         let points = residuals(&groups, &fit, &curve);
         let brightest = groups.last().map_or(0.0, |g| g.exposure_ms);
@@ -99,25 +99,14 @@ pub(super) fn fit_where_straight(
     }
 }
 
-/// The order is Akaike's (smallest chi-square + 2 order), all orders judged with the jitter of the highest.
-fn fit_best(groups: &[Group], full_scale: f64, max_order: usize) -> Result<Fit> {
-    let highest = max_order.min(3).min(groups.len() - 3);
-    let undetermined = || {
+/// Always of the highest order the exposures allow: an order chosen by the data would make the covariance too small.
+fn fit(groups: &[Group], full_scale: f64, max_order: usize) -> Result<Fit> {
+    let order = max_order.min(3).min(groups.len() - 3);
+    let jitter = jitter(groups, full_scale, order);
+    let solution = solve(groups, full_scale, order, jitter).ok_or_else(|| {
         Error::new("the exposures do not determine the response curve")
             .with_hint("shoot all three channels at exposures from nearly dark to nearly saturated")
-    };
-    let jitter = jitter(groups, full_scale, highest);
-    let mut best: Option<(f64, usize)> = None;
-    for order in 0..=highest {
-        let solution = solve(groups, full_scale, order, jitter).ok_or_else(undetermined)?;
-        let score = solution.chi_square + 2.0 * order as f64;
-        if best.is_none_or(|(least, _)| score < least) {
-            best = Some((score, order));
-        }
-    }
-    let order = best.map_or(0, |(_, order)| order);
-    let jitter = self::jitter(groups, full_scale, order);
-    let solution = solve(groups, full_scale, order, jitter).ok_or_else(undetermined)?;
+    })?;
     Ok(Fit {
         order,
         solution,

@@ -70,7 +70,7 @@ pub struct LinearityOptions {
     /// The pixels used: column and row of the first one, columns, rows; none: a square of a quarter of the image's shorter
     /// side around the sample center.
     pub region: Option<[usize; 4]>,
-    /// Highest power of the signal in the correction, 0..=3; the data choose up to there.
+    /// Highest power of the signal in the correction, 0..=3.
     pub max_order: usize,
     /// Frames in which a pixel of the region reaches this fraction of the white level are not used.
     pub usable_fraction: f64,
@@ -81,7 +81,7 @@ impl Default for LinearityOptions {
         Self {
             kind: None,
             region: None,
-            max_order: 3,
+            max_order: 2,
             usable_fraction: USABLE_FRACTION,
         }
     }
