@@ -300,6 +300,7 @@ fn a_dark_reference_is_refused() {
     let text = error.report();
     assert!(
         text.contains("reference visit 0: red is not brighter than the dark")
+            && text.contains("_reference_16ms.dng")
             && text.contains("hint:"),
         "{text}"
     );

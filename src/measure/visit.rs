@@ -218,9 +218,9 @@ impl Visit {
             for rate in [rate_here, rate_there] {
                 if !(f64::MIN_POSITIVE..f64::MAX).contains(&rate) {
                     return Err(Error::new(format!(
-                        "reference visit {number} ({}): {} is not brighter than the dark ({rate} raw values per millisecond)",
-                        here.iter().find(|e| e.sees(c)).map_or("", |e| &e.title),
-                        COLORS[c]
+                        "reference visit {number}: {} is not brighter than the dark ({rate} raw values per millisecond in {})",
+                        COLORS[c],
+                        here.iter().find(|e| e.sees(c)).map_or("no frame", |e| &e.title)
                     ))
                     .with_hint("was the lamp on for the reference frames, and off for the darks?"));
                 }
