@@ -199,11 +199,22 @@ fn what_is_done_wrong_is_caught_by_the_same_verdict() {
     assert_caught("linearity ignored", seed + 300, |_, options| {
         options.calibrations.linearity = None;
     });
-    assert_caught("geometry errors not stated", seed + 400, |_, options| {
-        let geometry = &mut options.calibrations.geometry.as_mut().unwrap().value;
-        geometry.pose = PoseErrors::default();
-        geometry.pointing_sd_px = [0.0; 2];
-        geometry.center_px_se = [0.0; 2];
-        geometry.pixel_mm_se = 0.0;
-    });
+    // Errors three times those of a rig that passes: at 24 sessions its own would be too small to be missed.
+    assert_caught(
+        "geometry errors not stated",
+        seed + 400,
+        |setup, options| {
+            setup.pose_sd = PoseErrors {
+                camera_theta_deg: 0.3,
+                light_theta_deg: 0.3,
+                rotation_deg: 0.3,
+                height_mm: 0.15,
+            };
+            let geometry = &mut options.calibrations.geometry.as_mut().unwrap().value;
+            geometry.pose = PoseErrors::default();
+            geometry.pointing_sd_px = [0.0; 2];
+            geometry.center_px_se = [0.0; 2];
+            geometry.pixel_mm_se = 0.0;
+        },
+    );
 }
