@@ -66,8 +66,8 @@ fn lamp(x: f64, _: usize) -> [f64; 3] {
 fn rig(seed: u64) -> Setup {
     let mut setup = Setup {
         exposures_ms: vec![2.0, 16.0, 128.0],
-        dark_exposures_ms: vec![2.0, 6.0, 16.0, 128.0],
-        reference_exposures_ms: vec![6.0],
+        dark_exposures_ms: vec![2.0, 3.0, 6.0, 16.0, 128.0],
+        reference_exposures_ms: vec![3.0],
         lamp: Some(lamp),
         grain: 0.2,
         glints: 2,

@@ -393,7 +393,8 @@ fn print_plan(
         data!(
             "# travel and settling {:.1} s, {}",
             tour.seconds,
-            if excess < 0.05 {
+            // A single stop needs no travel at all.
+            if excess.is_nan() || excess < 0.05 {
                 "the shortest there is".to_owned()
             } else {
                 format!("at most {excess:.1} % above the shortest")

@@ -292,6 +292,9 @@ fn session(arguments: &SessionArguments) -> Result<Outcome> {
     let (calibrations, used) = match &arguments.calibration {
         Some(folder) => {
             let calibrations = Calibrations::read(folder)?;
+            if calibrations == Calibrations::default() {
+                return Err(no_calibration(folder));
+            }
             let mut used = measured::calibrations_used(folder, &calibrations)?;
             used.retain(|u| arguments.color || u.kind != Kind::Color.name());
             (calibrations, used)
@@ -334,6 +337,16 @@ fn session(arguments: &SessionArguments) -> Result<Outcome> {
     })
 }
 
+/// Told with the subfolder that was meant, if there is one.
+fn no_calibration(folder: &Path) -> Error {
+    let inside = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let meant = inside.map(|e| e.path()).find(|p| p.is_dir());
+    let hint = meant.map_or("make one with `goniofit calibrate`".to_owned(), |p| {
+        format!("did you mean {}?", p.display())
+    });
+    Error::new(format!("no calibration file in {}", folder.display())).with_hint(hint)
+}
+
 /// What is not data: where the numbers come from, and what the operator should know.
 fn tell(terminal: &Terminal, session: &SessionFolder, report: &MeasureReport) -> Result<()> {
     if report.synthetic {
@@ -349,6 +362,16 @@ fn tell(terminal: &Terminal, session: &SessionFolder, report: &MeasureReport) ->
         report.noise.variance_per_signal[1],
         report.noise.variance_per_signal_se[1]
     ));
+    if !report.calibrations.is_empty() {
+        let named = report.calibrations.iter().map(|h| {
+            let synthetic = if h.synthetic { " (synthetic)" } else { "" };
+            format!("{} of {}{synthetic}", h.kind.name(), h.date_utc)
+        });
+        terminal.say(format!(
+            "applied calibrations: {}",
+            named.collect::<Vec<_>>().join(", ")
+        ));
+    }
     let messages = report
         .configurations
         .iter()

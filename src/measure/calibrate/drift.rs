@@ -23,7 +23,7 @@ const SETTLED: f64 = 0.005;
 /// More flicker than this is out of tolerance.
 const FLICKER: f64 = 0.005;
 
-const HOW: &str = "visit the reference pose again and again (`goniofit capture --reference-every N`), at one exposure that is not clipped, with darks of it";
+const HOW: &str = "visit the reference pose again and again (`reference_every` under [lamp] in the rig file), at one exposure that is not clipped, with darks of it";
 
 /// How the lamp behaves, from the visits of the reference pose.
 ///

@@ -12,6 +12,9 @@ const PANELS: [usize; 8] = [24, 41, 71, 121, 207, 353, 601, 1023];
 /// Relative change at which a mean has settled.
 const SETTLED: f64 = 1e-5;
 
+/// Relative change between the two finest quadratures up to which a picture with steps (rendered texels) is accepted.
+const ROUGH: f64 = 2e-3;
+
 impl VirtualCamera {
     /// What each pixel would see without vignetting, noise and filters, everything standing where it was asked to: the
     /// radiance averaged over the pixel's area, in normalized radiance, and blurred by the lens.
@@ -85,13 +88,17 @@ impl VirtualCamera {
 
     /// The exact mean of the picture over the sample square, everything standing where it was asked to: what a perfect
     /// measurement returns. An average over the area of the sample plane that knows neither pixels nor lens (composite
-    /// Gauss-Legendre quadrature, finer and finer until the mean changes by less than 1e-5 of itself).
+    /// Gauss-Legendre quadrature, finer and finer until the mean changes by less than 1e-5 of itself). Of a picture with steps,
+    /// as rendered ones are, the finest quadrature is taken if it differs from the one before by less than 2e-3.
     ///
     /// # Errors
     /// When the picture is too rough for that, or as [`Self::noise_free_image`].
     pub fn true_mean(&self, pose: &Configuration, sample_square_mm: f64) -> Result<[f64; 3]> {
         let factor = self.factor(FrameKind::Sample, pose);
         let mut last: Option<[f64; 3]> = None;
+        let within = |a: [f64; 3], b: [f64; 3], limit: f64| {
+            (0..3).all(|c| (a[c] - b[c]).abs() <= limit * b[c])
+        };
         for panels in PANELS {
             let mean = square_average(&*self.appearance, pose, sample_square_mm, panels);
             if !mean.iter().all(|m| (0.0..1e9).contains(m)) {
@@ -100,14 +107,18 @@ impl VirtualCamera {
                     pose.id
                 )));
             }
-            let near = |a: [f64; 3]| (0..3).all(|c| (a[c] - mean[c]).abs() <= SETTLED * mean[c]);
-            if last.is_some_and(near) {
+            let limit = if panels == PANELS[PANELS.len() - 1] {
+                ROUGH
+            } else {
+                SETTLED
+            };
+            if last.is_some_and(|last| within(last, mean, limit)) {
                 return Ok([0, 1, 2].map(|c| mean[c] * factor[c]));
             }
             last = Some(mean);
         }
         Err(Error::new(format!(
-            "virtual camera: the mean of the picture of configuration {} does not settle to {SETTLED}",
+            "virtual camera: the mean of the picture of configuration {} does not settle to {ROUGH}",
             pose.id
         ))
         .with_hint("show a picture without steps, or with coarser detail"))
