@@ -4,7 +4,7 @@
 //! `measure_session.rs` has: a frame missing, or torn against its hash; another image size or exposure; a configuration
 //! that is not the plan's; a crop that leaves the image; a dark missing or too bright; no darks, no whites; sample and white
 //! saturated; existing files. `measure_drift.rs`: a reference that is not brighter than the dark, or saturated.
-#![allow(clippy::unwrap_used, missing_docs)]
+#![allow(clippy::print_stdout, clippy::unwrap_used, missing_docs)]
 
 mod virtual_session;
 

@@ -1,6 +1,11 @@
 //! Promise: a whole session is measured within its stated errors whatever the camera: a mosaic, three values per pixel,
 //! monochrome through filters, monochrome without; over a fixed box, too, and in another color space.
-#![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    clippy::float_cmp,
+    missing_docs
+)]
 
 mod virtual_session;
 

@@ -1,6 +1,11 @@
 //! Promise: the stated standard errors are right. Over many sessions of the virtual camera, (measured - truth) / stated
 //! standard error has mean 0 and standard deviation 1.
-#![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    clippy::float_cmp,
+    missing_docs
+)]
 
 mod virtual_session;
 
