@@ -431,7 +431,7 @@ fn darks_are_needed_only_for_exposures_that_are_used() {
     );
 }
 
-/// The mock session's numbers, as they were before lamps were followed; a tolerance for other mathematical libraries.
+/// The mock session's numbers, as they were first with brackets merged pixel by pixel; a tolerance for other mathematical libraries.
 #[test]
 fn a_session_without_reference_frames_gives_the_numbers_it_always_gave() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
