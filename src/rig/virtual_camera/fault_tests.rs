@@ -263,13 +263,13 @@ fn the_true_mean_is_the_mean_over_the_sample_whatever_the_pixels() {
     camera.rescale_to(&grazing, 8.0, [0.3, 0.2, 0.0]).unwrap();
     let mean = camera.true_mean(&grazing, 8.0).unwrap();
     assert!((mean[0] - 0.3).abs() < 1e-12 && (mean[1] - 0.2).abs() < 1e-12);
-    // Steps everywhere have no mean to be had.
+    // A picture of rare, bright, tiny specks has no mean to be had.
     struct Steps;
     impl Appearance for Steps {
         fn radiance(&self, _: FrameKind, _: &Configuration, [x, y]: [f64; 2]) -> [f64; 3] {
             [Random::keyed(&[(x * 1e3) as i64 as u64, (y * 1e3) as i64 as u64])
                 .uniform()
-                .powi(8); 3]
+                .powi(4000); 3]
         }
     }
     let camera = VirtualCamera::new(SensorModel::default(), Box::new(Steps), 1).unwrap();
