@@ -154,7 +154,10 @@ fn the_panels_factor_comes_from_where_it_is_asked_for() {
             && refused.contains("the nearest is light 45, camera 0"),
         "{refused}"
     );
-    let sheet = std::path::Path::new("/work/shared/data/spectralon_brf.csv");
+    let sheet = std::path::Path::new(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../shared/data/spectralon_brf.csv"
+    ));
     if !sheet.exists() {
         println!("skipped: {} is not there", sheet.display());
         return;
