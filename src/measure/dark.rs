@@ -14,6 +14,8 @@ pub(super) struct Dark {
     pub(super) exposure_ms: f64,
     /// Mean raw value, made linear, per value of the field.
     pub(super) mean: Vec<f32>,
+    /// Mean of that over the field.
+    pub(super) level: f64,
     /// Frames averaged.
     pub(super) count: usize,
     /// Variance of one raw value: read noise, dark current and quantization.
@@ -184,6 +186,7 @@ fn average(
     }
     let dark = Dark {
         exposure_ms: group[0].exposure_ms,
+        level: mean_of(mean.iter().map(|&m| f64::from(m))),
         mean,
         count: group.len(),
         variance: variance.max(QUANTIZATION),

@@ -238,9 +238,7 @@ impl Seen {
         let clipped_in_crop = crop.filter(|(_, v)| clipped[v.index]).count();
         let mut signal_limit = 0.0;
         let sample = darks.find(record).map(|dark| {
-            let sum: f64 = dark.mean.iter().map(|&d| f64::from(d)).sum();
-            let offset = sum / dark.mean.len().max(1) as f64;
-            signal_limit = darks.response.linear(limit.min(65535.0) as u16, 0) - offset;
+            signal_limit = darks.response.linear(limit.min(65535.0) as u16, 0) - dark.level;
             let mut values = linear_window(&darks.response, &target.window, &frame.data);
             let rows = target.window.rows_within(&darks.field);
             let dark_values = rows.into_iter().flat_map(|row| &dark.mean[row]);
