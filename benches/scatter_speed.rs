@@ -54,11 +54,11 @@ fn main() {
         let evaluate = best_of(7, 400_000, || {
             next = (next + 1) % pairs.len();
             let (wi, wo) = pairs[next];
-            black_box(scattering.evaluate(black_box(wi), black_box(wo)));
+            black_box(scattering.evaluate(black_box(wi), black_box(wo), 0.0));
         });
         let sample = best_of(7, 200_000, || {
             next = (next + 1) % pairs.len();
-            black_box(scattering.sample(black_box(pairs[next].1), &mut random));
+            black_box(scattering.sample(black_box(pairs[next].1), 0.0, &mut random));
         });
         println!(
             "{:>18} {:>12.0} {:>12.1} {:>12.1}",
@@ -97,6 +97,7 @@ fn worst(rows: &[Value]) -> f64 {
         let e = scattering.evaluate(
             fiber_direction(angle(1), angle(2)),
             fiber_direction(angle(3), angle(4)),
+            0.0,
         );
         let s = three(&row[10]);
         for c in 0..3 {

@@ -30,7 +30,7 @@ fn worst(model: &dyn Model, parameters: &Parameters) -> f64 {
     pairs()
         .into_iter()
         .map(|(wi, wo)| {
-            let error = derivative_error(model, parameters, wi, wo, |s| s.evaluate(wi, wo));
+            let error = derivative_error(model, parameters, wi, wo, |s| s.evaluate(wi, wo, 0.0));
             assert!(
                 error < TOLERANCE,
                 "{error:.1e} at {wi}, {wo}: {parameters:?}"
@@ -77,7 +77,7 @@ fn control_a_derivative_off_by_a_thousandth_fails() {
     let (wi, wo) = pairs()[2];
     for row in 0..Khungurn.parameters().len() {
         let error = derivative_error(&Khungurn, &parameters, wi, wo, |s| {
-            let mut e = s.evaluate(wi, wo);
+            let mut e = s.evaluate(wi, wo, 0.0);
             for c in 0..CHANNELS {
                 e.derivative[row][c] *= 1.001;
             }
@@ -87,7 +87,7 @@ fn control_a_derivative_off_by_a_thousandth_fails() {
     }
     // And per degree instead of per radian.
     let error = derivative_error(&Khungurn, &parameters, wi, wo, |s| {
-        let mut e = s.evaluate(wi, wo);
+        let mut e = s.evaluate(wi, wo, 0.0);
         e.derivative[4] = e.derivative[4].map(f64::to_radians);
         e
     });
@@ -115,7 +115,7 @@ fn everything_stays_finite_along_the_axis_and_far_from_the_lobes() {
             .unwrap();
         for wi in hostile {
             for wo in hostile {
-                let e = s.evaluate(wi, wo);
+                let e = s.evaluate(wi, wo, 0.0);
                 let all = e
                     .value
                     .iter()
@@ -133,12 +133,12 @@ fn everything_stays_finite_along_the_axis_and_far_from_the_lobes() {
 #[test]
 fn a_direction_that_is_not_a_number_is_not_hidden() {
     let s = Khungurn.prepare(&Parameters::defaults(&Khungurn)).unwrap();
-    let e = s.evaluate(DVec3::NAN, DVec3::Y);
+    let e = s.evaluate(DVec3::NAN, DVec3::Y, 0.0);
     assert!(e.value[0].is_nan() && e.derivative[2][1].is_nan() && e.pdf.is_nan());
-    let e = s.evaluate(DVec3::Y, DVec3::NAN);
+    let e = s.evaluate(DVec3::Y, DVec3::NAN, 0.0);
     assert!(e.value[0].is_nan() && e.pdf.is_nan());
     let sampled = s
-        .sample(DVec3::NAN, &mut scatter_laws::stream(1, 0))
+        .sample(DVec3::NAN, 0.0, &mut scatter_laws::stream(1, 0))
         .unwrap();
     assert!(sampled.wi.is_nan() && sampled.weight[0].is_nan());
 }

@@ -61,9 +61,9 @@ impl Row {
         let parameters = khungurn(self.c_r, self.c_tt, self.widths_deg);
         let scattering = Khungurn.prepare(&parameters).unwrap();
         if swapped {
-            scattering.evaluate(wo, wi)
+            scattering.evaluate(wo, wi, 0.0)
         } else {
-            scattering.evaluate(wi, wo)
+            scattering.evaluate(wi, wo, 0.0)
         }
     }
 

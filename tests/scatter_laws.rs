@@ -31,7 +31,7 @@ fn the_azimuthal_lobe_integrates_to_one() {
         let s = prepared([0.0; 3], [1.0; 3], [5.0, 10.0, gamma_deg]);
         let wi = direction_deg(0.0, 33.0);
         let n = 2000;
-        let azimuthal = |phi: f64| s.evaluate(wi, direction_deg(4.0, phi)).value[0];
+        let azimuthal = |phi: f64| s.evaluate(wi, direction_deg(4.0, phi), 0.0).value[0];
         let sum: f64 = (0..n)
             .map(|k| azimuthal(360.0 * f64::from(k) / f64::from(n)))
             .sum();
@@ -127,7 +127,7 @@ fn the_asymmetry_is_the_measured_one() {
             direction_deg(theta_i, 0.0),
             direction_deg(theta_o, 2.5_f64.to_degrees()),
         );
-        let ratio = s.evaluate(wi, wo).value[0] / s.evaluate(wo, wi).value[0];
+        let ratio = s.evaluate(wi, wo, 0.0).value[0] / s.evaluate(wo, wi, 0.0).value[0];
         assert!(
             (ratio / expected - 1.0).abs() < 4e-3,
             "{theta_i} {theta_o}: {ratio}"
@@ -164,7 +164,7 @@ fn meaningless_parameters_are_refused_and_unusual_ones_accepted() {
     };
     for (c_r, beta_r, gamma) in [(0.0, 32.0, 57.0), (1.0, 0.01, 0.01), (0.5, 360.0, 360.0)] {
         let s = prepare(c_r, beta_r, gamma).unwrap();
-        let e = s.evaluate(direction_deg(30.0, 0.0), direction_deg(-30.0, 180.0));
+        let e = s.evaluate(direction_deg(30.0, 0.0), direction_deg(-30.0, 180.0), 0.0);
         assert!(e.value.iter().all(|v| v.is_finite() && *v > 0.0), "{e:?}");
     }
     for (c_r, beta_r, gamma, key) in [

@@ -65,7 +65,7 @@ impl Case {
     }
 
     fn pdf(&self, wi: DVec3) -> f64 {
-        self.scattering.evaluate(wi, self.wo).pdf
+        self.scattering.evaluate(wi, self.wo, 0.0).pdf
     }
 
     fn rule(&self) -> SphereRule {
@@ -74,7 +74,7 @@ impl Case {
     }
 
     fn draw<'a>(&'a self, random: &'a mut Random) -> impl FnMut() -> DVec3 + 'a {
-        || self.scattering.sample(self.wo, random).unwrap().wi
+        || self.scattering.sample(self.wo, 0.0, random).unwrap().wi
     }
 }
 
@@ -128,7 +128,7 @@ fn control_samples_of_slightly_other_lobes_fail() {
     for (k, (what, other, wo)) in others.into_iter().enumerate() {
         let mut random = stream(2, k);
         let (p, text) = chi_square(&cells, &probabilities, N, || {
-            other.sample(wo, &mut random).unwrap().wi
+            other.sample(wo, 0.0, &mut random).unwrap().wi
         });
         println!("{what}: {text}");
         assert!(p < 1e-6, "{what}: {text}");
@@ -152,8 +152,8 @@ fn the_reported_evaluation_and_weight_belong_to_the_reported_direction() {
     for (k, case) in cases().iter().enumerate() {
         let mut random = stream(3, k);
         for _ in 0..2000 {
-            let sampled = case.scattering.sample(case.wo, &mut random).unwrap();
-            let again = case.scattering.evaluate(sampled.wi, case.wo);
+            let sampled = case.scattering.sample(case.wo, 0.0, &mut random).unwrap();
+            let again = case.scattering.evaluate(sampled.wi, case.wo, 0.0);
             let cos = sampled.wi.y.hypot(sampled.wi.z);
             let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();
             let context = format!("{}: {sampled:?}", case.name);
@@ -189,7 +189,12 @@ fn z_score(case: &Case, purpose: u64, k: usize, c: usize, expected: f64) -> (f64
     let mut random = stream(purpose, k);
     let mut weights = Running::default();
     for _ in 0..N {
-        weights.push(case.scattering.sample(case.wo, &mut random).unwrap().weight[c]);
+        weights.push(
+            case.scattering
+                .sample(case.wo, 0.0, &mut random)
+                .unwrap()
+                .weight[c],
+        );
     }
     let (mean, se) = (weights.mean(), weights.standard_error());
     let z = (mean - expected) / se;

@@ -104,6 +104,7 @@ fn around(rig: &str, light: &LightSource, sample_square: f64) -> Result<FiberSce
     Ok(FiberSceneOptions {
         light,
         sample_square,
+        ..FiberSceneOptions::default()
     })
 }
 

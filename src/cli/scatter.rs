@@ -204,6 +204,7 @@ fn eval(arguments: &EvalArguments) -> Result<String> {
         let e = scattering.evaluate(
             fiber_direction(theta_i, phi_i),
             fiber_direction(theta_o, phi_o),
+            0.0,
         );
         let numbers = e
             .value

@@ -40,25 +40,35 @@ pub(super) struct Sums {
 /// contribution is the contribution times the sum of `(dS/dt)/S` over its events; sampling is not differentiated.
 pub(super) struct Summation {
     rows: usize,
+    /// `before[n]`: what the first `n` events of the present path left.
+    before: Vec<Carried>,
+    pub(super) lamps: Vec<Sums>,
+}
+
+/// What a path has gathered on its way.
+#[derive(Debug, Clone, Copy)]
+struct Carried {
     throughput: [f64; CHANNELS],
     score: [[f64; CHANNELS]; MAX_ROWS],
-    pub(super) lamps: Vec<Sums>,
 }
 
 impl Summation {
     pub(super) fn new(rows: usize, n_lamps: usize) -> Self {
-        let lamps = vec![Sums::default(); n_lamps];
         Self {
             rows,
-            throughput: [1.0; CHANNELS],
-            score: [[0.0; CHANNELS]; MAX_ROWS],
-            lamps,
+            before: vec![Carried {
+                throughput: [1.0; CHANNELS],
+                score: [[0.0; CHANNELS]; MAX_ROWS],
+            }],
+            lamps: vec![Sums::default(); n_lamps],
         }
     }
 
-    fn begin_path(&mut self) {
-        self.throughput = [1.0; CHANNELS];
-        self.score = [[0.0; CHANNELS]; MAX_ROWS];
+    fn set(&mut self, depth: usize, carried: Carried) {
+        match self.before.get_mut(depth) {
+            Some(place) => *place = carried,
+            None => self.before.push(carried),
+        }
     }
 }
 
@@ -73,34 +83,44 @@ fn score(evaluation: &Evaluation, row: usize, channel: usize) -> f64 {
 }
 
 impl Visitor for Summation {
-    fn bounce(&mut self, event: Event<'_>) {
+    fn bounce(&mut self, depth: usize, event: Event<'_>) {
+        let mut carried = self.before[depth];
         for c in 0..CHANNELS {
-            self.throughput[c] *= event.weight[c];
+            carried.throughput[c] *= event.weight[c];
             for row in 0..self.rows {
-                self.score[row][c] += score(event.evaluation, row, c);
+                carried.score[row][c] += score(event.evaluation, row, c);
             }
         }
+        self.set(depth + 1, carried);
     }
 
-    fn connect(&mut self, lamp: usize, event: Event<'_>) {
-        let sums = &mut self.lamps[lamp];
+    fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]) {
+        let mut carried = self.before[depth];
         for c in 0..CHANNELS {
-            let contribution = self.throughput[c] * event.weight[c];
+            carried.throughput[c] *= weight[c];
+        }
+        self.set(depth + 1, carried);
+    }
+
+    fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>) {
+        let (sums, carried) = (&mut self.lamps[lamp], &self.before[depth]);
+        for c in 0..CHANNELS {
+            let contribution = carried.throughput[c] * event.weight[c];
             sums.value[c] += contribution;
             for row in 0..self.rows {
                 sums.derivative[row][c] +=
-                    contribution * (self.score[row][c] + score(event.evaluation, row, c));
+                    contribution * (carried.score[row][c] + score(event.evaluation, row, c));
             }
         }
     }
 
-    fn arrive(&mut self, lamp: usize, factor: f64) {
-        let sums = &mut self.lamps[lamp];
+    fn arrive(&mut self, depth: usize, lamp: usize, factor: [f64; CHANNELS]) {
+        let (sums, carried) = (&mut self.lamps[lamp], &self.before[depth]);
         for c in 0..CHANNELS {
-            let contribution = self.throughput[c] * factor;
+            let contribution = carried.throughput[c] * factor[c];
             sums.value[c] += contribution;
             for row in 0..self.rows {
-                sums.derivative[row][c] += contribution * self.score[row][c];
+                sums.derivative[row][c] += contribution * carried.score[row][c];
             }
         }
     }
@@ -220,9 +240,10 @@ impl Round<'_> {
         let mut random = Random::keyed(&[seed, stream, round, g as u64, batch]);
         let mut sums = Summation::new(self.rows, group.lamps.len());
         for _ in 0..n {
-            sums.begin_path();
             let through = self.scene.start(&mut random);
-            stage.follow(through, group.toward_camera, &mut random, &mut sums);
+            let view = self.scene.options.view;
+            let toward_camera = view.toward_camera(through, group.toward_camera);
+            stage.follow(through, toward_camera, &mut random, &mut sums);
         }
         sums.lamps
     }

@@ -173,16 +173,16 @@ impl Geometry {
         found.map_or(ended, Ended::Fiber)
     }
 
-    /// True when the ray leaves the cloth upward without entering a fiber.
-    pub(super) fn reaches_sky(&self, origin: DVec3, direction: DVec3, skip: &Skip) -> bool {
+    /// True when the ray leaves the cloth, up or down, without entering a fiber.
+    pub(super) fn passes(&self, origin: DVec3, direction: DVec3, skip: &Skip) -> bool {
         let mut blocked = false;
-        let ended = self.walk(origin, direction, |ray, cell, _| {
+        self.walk(origin, direction, |ray, cell, _| {
             blocked = !self
                 .bvh
                 .ray_traverse_miss(ray, |ray, i| self.test(ray, i, cell, skip).0);
             blocked
         });
-        !blocked && matches!(ended, Ended::Up)
+        !blocked
     }
 
     /// Distance at which the cell's ray enters capsule `i`; infinite when it does not, or must not see it.

@@ -4,7 +4,7 @@
 use super::geometry::{Ended, Geometry, Skip};
 use super::light::{Lamp, LightShape};
 use super::path::{Event, Stage, Visitor};
-use super::{Effort, FiberScene, FiberSceneOptions, Request, Scene};
+use super::{Effort, FiberScene, FiberSceneOptions, Plate, Request, Scene};
 use crate::base::Unwatched;
 use crate::fabric::{FiberTile, NO_SEGMENT, Segment};
 use crate::math::statistics::{Running, sidak_level};
@@ -107,12 +107,13 @@ struct Furnace {
 }
 
 impl Visitor for Furnace {
-    fn bounce(&mut self, event: Event<'_>) {
+    fn bounce(&mut self, _depth: usize, event: Event<'_>) {
         self.bounces += 1;
         self.throughput = std::array::from_fn(|c| self.throughput[c] * event.weight[c]);
     }
-    fn connect(&mut self, _lamp: usize, _event: Event<'_>) {}
-    fn arrive(&mut self, _lamp: usize, _factor: f64) {}
+    fn reflect(&mut self, _depth: usize, _weight: [f64; 3]) {}
+    fn connect(&mut self, _depth: usize, _lamp: usize, _event: Event<'_>) {}
+    fn arrive(&mut self, _depth: usize, _lamp: usize, _factor: [f64; 3]) {}
 }
 
 /// |mean - expected| in standard errors.
@@ -152,6 +153,7 @@ fn a_single_fiber_in_a_furnace_reflects_its_reverse_albedo() {
             scattering: &*scattering,
             lamps: &[],
             worth: &[],
+            plate: Plate::Black,
         };
         for _ in 0..40_000 {
             let across = 0.016 * (random.uniform() - 0.5) * 0.999;
@@ -169,7 +171,7 @@ fn a_single_fiber_in_a_furnace_reflects_its_reverse_albedo() {
         let wo = DVec3::new(-wo.x, wo.y, wo.z);
         for c in 0..3 {
             let reverse = over_the_sphere(3000, 400, |t, f| {
-                scattering.evaluate(fiber_direction(t, f), wo).value[c] * t.cos() * t.cos()
+                scattering.evaluate(fiber_direction(t, f), wo, 0.0).value[c] * t.cos() * t.cos()
             });
             let score = z(&means[c], reverse);
             assert!(
@@ -197,18 +199,19 @@ struct SingleScattering {
 }
 
 impl Visitor for SingleScattering {
-    fn bounce(&mut self, event: Event<'_>) {
+    fn bounce(&mut self, _depth: usize, event: Event<'_>) {
         self.bounces += 1;
         self.throughput *= event.weight[1];
     }
-    fn connect(&mut self, _lamp: usize, event: Event<'_>) {
+    fn reflect(&mut self, _depth: usize, _weight: [f64; 3]) {}
+    fn connect(&mut self, _depth: usize, _lamp: usize, event: Event<'_>) {
         if self.bounces == 0 {
             self.sum += event.weight[1];
         }
     }
-    fn arrive(&mut self, _lamp: usize, factor: f64) {
+    fn arrive(&mut self, _depth: usize, _lamp: usize, factor: [f64; 3]) {
         if self.bounces == 1 {
-            self.sum += self.throughput * factor;
+            self.sum += self.throughput * factor[1];
         }
     }
 }
@@ -239,6 +242,7 @@ fn single_scattering_by_a_straight_fiber_has_its_closed_form() {
             scattering: &*scattering,
             lamps: &lamps,
             worth: &[0.02],
+            plate: Plate::Black,
         };
         let mut random = Random::keyed(&[seed(2), pose as u64]);
         let mut mean = Running::default();
@@ -265,7 +269,7 @@ fn single_scattering_by_a_straight_fiber_has_its_closed_form() {
         for _ in 0..n {
             let s = lamps[0].sample(DVec3::ZERO, &mut points).unwrap();
             let wi = frame.to_local(s.direction);
-            light += scattering.evaluate(wi, frame.to_local(wc)).value[1] * wi.y.hypot(wi.z)
+            light += scattering.evaluate(wi, frame.to_local(wc), 0.0).value[1] * wi.y.hypot(wi.z)
                 / s.pdf
                 / f64::from(n);
         }
@@ -320,7 +324,7 @@ fn naive_path(
                 let (start, end, radius) = geometry.placed(hit.image);
                 let frame = Frame::from_tangent((end - start).normalize());
                 let wo = frame.to_local(-direction);
-                let Some(s) = scattering.sample(wo, random) else {
+                let Some(s) = scattering.sample(wo, 0.0, random) else {
                     return [0.0; 3];
                 };
                 let at = frame.to_local(origin + direction * hit.distance - start);
@@ -428,22 +432,23 @@ fn fixed_factor(event: &Event<'_>) -> f64 {
 }
 
 impl Visitor for Recorder {
-    fn bounce(&mut self, event: Event<'_>) {
+    fn bounce(&mut self, _depth: usize, event: Event<'_>) {
         self.0.push(Step::Bounce {
             wi: event.wi,
             wo: event.wo,
             factor: fixed_factor(&event),
         });
     }
-    fn connect(&mut self, _lamp: usize, event: Event<'_>) {
+    fn reflect(&mut self, _depth: usize, _weight: [f64; 3]) {}
+    fn connect(&mut self, _depth: usize, _lamp: usize, event: Event<'_>) {
         self.0.push(Step::Connect {
             wi: event.wi,
             wo: event.wo,
             factor: fixed_factor(&event),
         });
     }
-    fn arrive(&mut self, _lamp: usize, factor: f64) {
-        self.0.push(Step::Arrive { factor });
+    fn arrive(&mut self, _depth: usize, _lamp: usize, factor: [f64; 3]) {
+        self.0.push(Step::Arrive { factor: factor[0] });
     }
 }
 
@@ -454,11 +459,11 @@ fn contribution(steps: &[Step], at: &dyn Scattering, connections: &dyn Scatterin
     for step in steps {
         match *step {
             Step::Bounce { wi, wo, factor } => {
-                let s = at.evaluate(wi, wo).value;
+                let s = at.evaluate(wi, wo, 0.0).value;
                 throughput = std::array::from_fn(|c| throughput[c] * s[c] * factor);
             }
             Step::Connect { wi, wo, factor } => {
-                let s = connections.evaluate(wi, wo).value;
+                let s = connections.evaluate(wi, wo, 0.0).value;
                 sum = std::array::from_fn(|c| sum[c] + throughput[c] * s[c] * factor);
             }
             Step::Arrive { factor } => {

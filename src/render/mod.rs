@@ -14,7 +14,7 @@ mod scene;
 
 pub use light::LightShape;
 pub use picture::TilePicture;
-pub use scene::{FiberScene, FiberSceneOptions};
+pub use scene::{FiberScene, FiberSceneOptions, Plate, View};
 
 use crate::base::{Result, Watch};
 use crate::scatter::{Model, Parameters};

@@ -3,18 +3,19 @@
 //! How a hit becomes a scattering event (Khungurn 2015 does not say): at a hit on the segment with tangent `d`, `S` is
 //! evaluated with both directions in the frame of `d` (`wo` back along the camera side of the path, `wi` toward the
 //! light side) and weighted with `cos(theta_i)`, the cosine to the fiber's normal plane, not to the surface normal. The
-//! new ray leaves at the same longitudinal coordinate, at the far side of the circular cross-section along the new
-//! direction's azimuth (where it arrived, if the direction points outward there). It does not see the segment it leaves
-//! nor that segment's two neighbors, and only rays entering a fiber count as hits, as fibers may overlap.
+//! new ray leaves as the model's [`Passage`] says. It does not see the segment it leaves nor that segment's two neighbors,
+//! and only rays entering a fiber count as hits, as fibers may overlap.
 //!
-//! All three channels travel on one path. Nothing is clamped; a path ends by roulette, by leaving, or on the black plate
-//! under the cloth.
+//! All three channels travel on one path. Nothing is clamped; a path ends by roulette, by leaving, or on the plate under the
+//! cloth when that is black.
 
-use super::geometry::{Ended, Geometry, Hit};
+use super::geometry::{Ended, Geometry, Hit, Skip};
 use super::light::Lamp;
+use super::scene::Plate;
 use crate::math::{Frame, Random};
-use crate::scatter::{CHANNELS, Evaluation, Scattering};
+use crate::scatter::{CHANNELS, Evaluation, Passage, Scattering};
 use glam::DVec3;
+use std::f64::consts::{FRAC_1_PI, TAU};
 
 /// One use of the scattering function along a path.
 #[derive(Debug, Clone, Copy)]
@@ -31,6 +32,9 @@ pub(super) struct Event<'a> {
         expect(dead_code, reason = "read by visitors that record paths")
     )]
     pub(super) wo: DVec3,
+    /// Where across the fiber the camera side meets it, see [`Scattering`].
+    #[expect(dead_code, reason = "read by visitors that record paths")]
+    pub(super) h: f64,
     /// `S(wi, wo)` times everything that does not depend on the parameters (cosine, densities, roulette).
     pub(super) weight: [f64; CHANNELS],
     /// Value and derivatives of `S` at the two directions.
@@ -38,13 +42,18 @@ pub(super) struct Event<'a> {
 }
 
 /// Whoever follows a path: sums it up, or records it.
+///
+/// `depth` counts the events between the camera and this one, of fibers and of the plate. A path may branch: an event at
+/// depth `n` continues the latest event before it that had depth `n - 1`.
 pub(super) trait Visitor {
     /// The path goes on through this event.
-    fn bounce(&mut self, event: Event<'_>);
+    fn bounce(&mut self, depth: usize, event: Event<'_>);
+    /// The path goes on through an event that depends on no parameter.
+    fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]);
     /// A side branch through this event ends on a lamp; its normalized radiance is in the weight.
-    fn connect(&mut self, lamp: usize, event: Event<'_>);
-    /// The path itself arrived on a lamp; `factor` is the lamp's share.
-    fn arrive(&mut self, lamp: usize, factor: f64);
+    fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>);
+    /// The path itself, after `depth` events, arrived on a lamp; `factor` is the lamp's share.
+    fn arrive(&mut self, depth: usize, lamp: usize, factor: [f64; CHANNELS]);
 }
 
 /// What a path needs to know that does not change from path to path.
@@ -54,10 +63,19 @@ pub(super) struct Stage<'a> {
     pub(super) lamps: &'a [Lamp],
     /// Per lamp: connections that would add less than this are made with proportionally smaller probability.
     pub(super) worth: &'a [f64],
+    pub(super) plate: Plate,
 }
 
 /// Least probability with which a path goes on, or a small connection is made.
 const SURVIVAL_FLOOR: f64 = 0.05;
+
+/// A ray of a path, with what it carries.
+struct Leg {
+    origin: DVec3,
+    direction: DVec3,
+    throughput: [f64; CHANNELS],
+    skip: Skip,
+}
 
 impl Stage<'_> {
     /// Follows the path that arrives at the camera along `-toward_camera` through the point `through` of the plane z = 0.
@@ -68,44 +86,70 @@ impl Stage<'_> {
         random: &mut Random,
         visitor: &mut impl Visitor,
     ) {
-        let mut direction = -toward_camera;
         let top = self.geometry.z_range()[1];
-        let mut origin = through + toward_camera * (top.max(0.0) / toward_camera.z);
-        let mut throughput = [1.0; CHANNELS];
-        let mut ended = self
-            .geometry
-            .closest(origin, direction, &super::geometry::Skip::NOTHING);
-        while let Ended::Fiber(hit) = ended {
-            let place = Place::new(self.geometry, origin, direction, hit);
-            let wo = place.frame.to_local(-direction);
-            self.connect_lamps(&place, wo, throughput, random, visitor);
-
-            let Some(sampled) = self.scattering.sample(wo, random) else {
-                return;
+        let mut leg = Leg {
+            origin: through + toward_camera * (top.max(0.0) / toward_camera.z),
+            direction: -toward_camera,
+            throughput: [1.0; CHANNELS],
+            skip: Skip::NOTHING,
+        };
+        for depth in 0.. {
+            let next = match self.geometry.closest(leg.origin, leg.direction, &leg.skip) {
+                Ended::Fiber(hit) => self.at_fiber(&leg, hit, depth, random, visitor),
+                Ended::Down => self.at_plate(&leg, depth, random, visitor),
+                Ended::Up => None,
             };
-            let grown: [f64; CHANNELS] = std::array::from_fn(|c| throughput[c] * sampled.weight[c]);
-            let survival = largest(grown).clamp(SURVIVAL_FLOOR, 1.0);
-            if random.uniform() >= survival {
-                return;
-            }
-            let weight = sampled.weight.map(|w| w / survival);
-            visitor.bounce(Event {
-                wi: sampled.wi,
-                wo,
-                weight,
-                evaluation: &sampled.evaluation,
-            });
-            throughput = grown.map(|g| g / survival);
-
-            direction = place.frame.to_world(sampled.wi);
-            origin = place.exit(direction);
-            ended = self
-                .geometry
-                .closest(origin, direction, &self.geometry.skip(hit.image));
-            if matches!(ended, Ended::Up) {
-                self.arrive_on_lamps(place.center, direction, sampled.evaluation.pdf, visitor);
+            match next {
+                Some(next) => leg = next,
+                None => return,
             }
         }
+    }
+
+    fn at_fiber(
+        &self,
+        leg: &Leg,
+        hit: Hit,
+        depth: usize,
+        random: &mut Random,
+        visitor: &mut impl Visitor,
+    ) -> Option<Leg> {
+        let place = Place::new(self, leg.origin, leg.direction, hit);
+        let wo = place.frame.to_local(-leg.direction);
+        self.connect_lamps(&place, wo, leg.throughput, depth, random, visitor);
+
+        let sampled = self.scattering.sample(wo, place.h, random)?;
+        let grown = times(leg.throughput, sampled.weight);
+        let survival = largest(grown).clamp(SURVIVAL_FLOOR, 1.0);
+        if random.uniform() >= survival {
+            return None;
+        }
+        visitor.bounce(
+            depth,
+            Event {
+                wi: sampled.wi,
+                wo,
+                h: place.h,
+                weight: sampled.weight.map(|w| w / survival),
+                evaluation: &sampled.evaluation,
+            },
+        );
+        let direction = place.frame.to_world(sampled.wi);
+        let next = Leg {
+            origin: place.exit(direction),
+            direction,
+            throughput: grown.map(|g| g / survival),
+            skip: self.geometry.skip(hit.image),
+        };
+        // Asked from the fiber's axis, as in `connect_lamps`, so that both strategies mean the same set of directions.
+        self.arrive_on_lamps(
+            &next,
+            place.center,
+            sampled.evaluation.pdf,
+            depth + 1,
+            visitor,
+        );
+        Some(next)
     }
 
     /// Next-event estimation: one point on each lamp, weighted against [`Stage::arrive_on_lamps`] by the balance
@@ -115,35 +159,34 @@ impl Stage<'_> {
         place: &Place,
         wo: DVec3,
         throughput: [f64; CHANNELS],
+        depth: usize,
         random: &mut Random,
         visitor: &mut impl Visitor,
     ) {
+        let skip = self.geometry.skip(place.hit.image);
         for (index, lamp) in self.lamps.iter().enumerate() {
             let Some(point) = lamp.sample(place.center, random) else {
                 continue;
             };
             let wi = place.frame.to_local(point.direction);
-            let evaluation = self.scattering.evaluate(wi, wo);
+            let (value, pdf) = self.scattering.value(wi, wo, place.h);
             let cosine = wi.y.hypot(wi.z);
-            let factor = lamp.normalized_radiance() * cosine / (point.pdf + evaluation.pdf);
-            let worth =
-                factor * largest(std::array::from_fn(|c| throughput[c] * evaluation.value[c]));
+            let factor = lamp.normalized_radiance() * cosine / (point.pdf + pdf);
+            let worth = factor * largest(times(throughput, value));
             let odds = (worth / self.worth[index]).clamp(SURVIVAL_FLOOR, 1.0);
             if worth <= 0.0 || random.uniform() >= odds {
                 continue;
             }
-            let skip = self.geometry.skip(place.hit.image);
-            if self
-                .geometry
-                .reaches_sky(place.exit(point.direction), point.direction, &skip)
-            {
-                let weight = evaluation.value.map(|s| s * factor / odds);
+            if self.sees_light(place.exit(point.direction), point.direction, &skip) {
+                let evaluation = self.scattering.evaluate(wi, wo, place.h);
                 visitor.connect(
+                    depth,
                     index,
                     Event {
                         wi,
                         wo,
-                        weight,
+                        h: place.h,
+                        weight: evaluation.value.map(|s| s * factor / odds),
                         evaluation: &evaluation,
                     },
                 );
@@ -151,21 +194,83 @@ impl Stage<'_> {
         }
     }
 
-    /// The sampled direction left the cloth: does it meet a lamp? Asked from the fiber's axis, as in
-    /// [`Stage::connect_lamps`], so that both strategies mean exactly the same set of directions.
+    /// The leg that begins here may leave the cloth and meet a lamp: `from` is where the other strategy looks from.
     fn arrive_on_lamps(
         &self,
-        origin: DVec3,
-        direction: DVec3,
+        leg: &Leg,
+        from: DVec3,
         pdf: f64,
+        depth: usize,
         visitor: &mut impl Visitor,
     ) {
+        let mut free = None;
         for (index, lamp) in self.lamps.iter().enumerate() {
-            if let Some(lamp_pdf) = lamp.pdf(origin, direction) {
-                visitor.arrive(index, lamp.normalized_radiance() * pdf / (pdf + lamp_pdf));
+            let Some(lamp_pdf) = lamp.pdf(from, leg.direction) else {
+                continue;
+            };
+            let sees = || self.sees_light(leg.origin, leg.direction, &leg.skip);
+            if *free.get_or_insert_with(sees) {
+                let share = pdf / (pdf + lamp_pdf);
+                visitor.arrive(depth, index, [lamp.normalized_radiance() * share; CHANNELS]);
             }
         }
     }
+
+    /// Is there nothing between a point and a lamp in that direction?
+    fn sees_light(&self, origin: DVec3, direction: DVec3, skip: &Skip) -> bool {
+        (direction.z > 0.0 || self.plate == Plate::Open)
+            && self.geometry.passes(origin, direction, skip)
+    }
+
+    /// The plate below the cloth, as a diffuse surface of the given albedo.
+    fn at_plate(
+        &self,
+        leg: &Leg,
+        depth: usize,
+        random: &mut Random,
+        visitor: &mut impl Visitor,
+    ) -> Option<Leg> {
+        let Plate::Diffuse(albedo) = self.plate else {
+            return None;
+        };
+        let fall = (self.geometry.z_range()[0] - leg.origin.z) / leg.direction.z;
+        let point = leg.origin + leg.direction * fall;
+        if !point.is_finite() {
+            return None;
+        }
+        for (index, lamp) in self.lamps.iter().enumerate() {
+            let Some(light) = lamp.sample(point, random) else {
+                continue;
+            };
+            let cosine = light.direction.z;
+            if cosine > 0.0 && self.geometry.passes(point, light.direction, &Skip::NOTHING) {
+                let factor = lamp.normalized_radiance() * cosine * FRAC_1_PI
+                    / (light.pdf + cosine * FRAC_1_PI);
+                visitor.arrive(depth, index, albedo.map(|a| a * factor));
+            }
+        }
+        let survival = largest(times(leg.throughput, albedo)).clamp(SURVIVAL_FLOOR, 1.0);
+        if random.uniform() >= survival {
+            return None;
+        }
+        let weight = albedo.map(|a| a / survival);
+        visitor.reflect(depth, weight);
+        let (sin2, turn) = (random.uniform(), TAU * random.uniform());
+        let cosine = (1.0 - sin2).sqrt();
+        let direction = DVec3::new(sin2.sqrt() * turn.cos(), sin2.sqrt() * turn.sin(), cosine);
+        let next = Leg {
+            origin: point,
+            direction,
+            throughput: times(leg.throughput, weight),
+            skip: Skip::NOTHING,
+        };
+        self.arrive_on_lamps(&next, point, cosine * FRAC_1_PI, depth + 1, visitor);
+        Some(next)
+    }
+}
+
+fn times(a: [f64; CHANNELS], b: [f64; CHANNELS]) -> [f64; CHANNELS] {
+    std::array::from_fn(|c| a[c] * b[c])
 }
 
 fn largest(v: [f64; CHANNELS]) -> f64 {
@@ -180,32 +285,49 @@ struct Place {
     center: DVec3,
     /// From there to the hit, perpendicular to the axis.
     offset: DVec3,
+    /// Where across the fiber the ray met it, see [`Scattering`].
+    h: f64,
+    passage: Passage,
 }
 
 impl Place {
-    fn new(geometry: &Geometry, origin: DVec3, direction: DVec3, hit: Hit) -> Self {
-        let (start, end, _) = geometry.placed(hit.image);
+    fn new(stage: &Stage<'_>, origin: DVec3, direction: DVec3, hit: Hit) -> Self {
+        let (start, end, _) = stage.geometry.placed(hit.image);
         let tangent = (end - start).normalize_or(DVec3::X);
         let from_start = origin + direction * hit.distance - start;
         let along = from_start.dot(tangent);
+        let offset = from_start - tangent * along;
+        let frame = Frame::from_tangent(tangent);
+        let (n, wo) = (frame.to_local(offset), frame.to_local(-direction));
+        let area = (n.y.hypot(n.z)) * (wo.y.hypot(wo.z));
+        let h = if area > 0.0 {
+            ((n.y * wo.z - n.z * wo.y) / area).clamp(-1.0, 1.0)
+        } else {
+            0.0
+        };
         Self {
             hit,
-            frame: Frame::from_tangent(tangent),
+            frame,
             center: start + tangent * along,
-            offset: from_start - tangent * along,
+            offset,
+            h,
+            passage: stage.scattering.passage(),
         }
     }
 
-    /// Where a ray toward `direction` leaves the cross-section.
+    /// Where a ray toward `direction` leaves the fiber.
     fn exit(&self, direction: DVec3) -> DVec3 {
+        let surface = self.center + self.offset;
+        if self.passage == Passage::Straight {
+            return surface;
+        }
         let across = direction - self.frame.x * direction.dot(self.frame.x);
         let length2 = across.length_squared();
         let inward = -self.offset.dot(across);
-        let chord = if inward > 0.0 && length2 > 0.0 {
-            across * (2.0 * inward / length2)
+        if inward > 0.0 && length2 > 0.0 {
+            surface + across * (2.0 * inward / length2)
         } else {
-            DVec3::ZERO
-        };
-        self.center + self.offset + chord
+            surface
+        }
     }
 }

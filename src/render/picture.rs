@@ -48,19 +48,35 @@ impl TilePicture {
 
 /// Radiance of one lamp, without derivatives.
 struct Brightness {
-    throughput: [f64; CHANNELS],
+    /// `throughput[n]`: what the first `n` events left.
+    throughput: Vec<[f64; CHANNELS]>,
     sum: [f64; CHANNELS],
 }
 
+impl Brightness {
+    fn go_on(&mut self, depth: usize, weight: [f64; CHANNELS]) {
+        let left = std::array::from_fn(|c| self.throughput[depth][c] * weight[c]);
+        self.throughput.truncate(depth + 1);
+        self.throughput.push(left);
+    }
+
+    fn add(&mut self, depth: usize, weight: [f64; CHANNELS]) {
+        self.sum = std::array::from_fn(|c| self.sum[c] + self.throughput[depth][c] * weight[c]);
+    }
+}
+
 impl Visitor for Brightness {
-    fn bounce(&mut self, event: Event<'_>) {
-        self.throughput = std::array::from_fn(|c| self.throughput[c] * event.weight[c]);
+    fn bounce(&mut self, depth: usize, event: Event<'_>) {
+        self.go_on(depth, event.weight);
     }
-    fn connect(&mut self, _lamp: usize, event: Event<'_>) {
-        self.sum = std::array::from_fn(|c| self.sum[c] + self.throughput[c] * event.weight[c]);
+    fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]) {
+        self.go_on(depth, weight);
     }
-    fn arrive(&mut self, _lamp: usize, factor: f64) {
-        self.sum = std::array::from_fn(|c| self.sum[c] + self.throughput[c] * factor);
+    fn connect(&mut self, depth: usize, _lamp: usize, event: Event<'_>) {
+        self.add(depth, event.weight);
+    }
+    fn arrive(&mut self, depth: usize, _lamp: usize, factor: [f64; CHANNELS]) {
+        self.add(depth, factor);
     }
 }
 
@@ -102,19 +118,17 @@ impl FiberScene {
                     x as u64,
                 ];
                 let mut random = Random::keyed(&key);
-                let mut sum = [0.0; CHANNELS];
+                let mut path = Brightness {
+                    throughput: vec![[1.0; CHANNELS]],
+                    sum: [0.0; CHANNELS],
+                };
                 for _ in 0..paths {
                     let u = (x as f64 + random.uniform()) / nx as f64;
                     let v = (y as f64 + random.uniform()) / ny as f64;
                     let through = DVec3::new(u * self.tile_size[0], v * self.tile_size[1], 0.0);
-                    let mut path = Brightness {
-                        throughput: [1.0; CHANNELS],
-                        sum,
-                    };
                     stage.follow(through, toward_camera, &mut random, &mut path);
-                    sum = path.sum;
                 }
-                sum.map(|s| s / paths as f64)
+                path.sum.map(|s| s / paths as f64)
             };
             let texels = (0..nx).map(texel).collect();
             watch.progress(

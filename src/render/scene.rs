@@ -1,4 +1,4 @@
-//! A woven or imported fiber tile as a scene: flat swatch, black plate below, square light, orthographic camera.
+//! A woven or imported fiber tile as a scene: flat swatch, a plate below, square light, camera.
 
 use super::geometry::Geometry;
 use super::light::{Lamp, LightShape};
@@ -11,6 +11,39 @@ use crate::scatter::Model;
 use crate::session::Configuration;
 use glam::DVec3;
 
+/// What lies under the cloth, at its lowest fiber.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Plate {
+    /// Nothing: light may come from below, and leaves there.
+    Open,
+    /// A surface that absorbs everything.
+    Black,
+    /// A Lambertian surface of this albedo per channel.
+    Diffuse([f64; 3]),
+}
+
+/// How the camera projects the sample square.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum View {
+    /// All rays parallel to the configuration's camera direction.
+    Orthographic,
+    /// All rays through one point at this distance from the sample's center, millimeters.
+    Pinhole {
+        /// From the sample's center to the camera's entrance pupil, millimeters.
+        distance: f64,
+    },
+}
+
+impl View {
+    /// Unit vector from a point of the sample toward the camera whose direction from the sample's center is `direction`.
+    pub(super) fn toward_camera(self, point: DVec3, direction: DVec3) -> DVec3 {
+        match self {
+            Self::Orthographic => direction,
+            Self::Pinhole { distance } => (direction * distance - point).normalize(),
+        }
+    }
+}
+
 /// What surrounds the cloth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FiberSceneOptions {
@@ -18,19 +51,25 @@ pub struct FiberSceneOptions {
     pub light: LightShape,
     /// Side of the square on the sample, centered, over which means are taken, millimeters.
     pub sample_square: f64,
+    /// What lies under the cloth.
+    pub plate: Plate,
+    /// How the camera projects.
+    pub view: View,
 }
 
 impl Default for FiberSceneOptions {
-    /// The light of Khungurn 2015 and its 1 cm crop.
+    /// The light of Khungurn 2015, its 1 cm crop and its black turntable, seen from afar.
     fn default() -> Self {
         Self {
             light: LightShape::default(),
             sample_square: 10.0,
+            plate: Plate::Black,
+            view: View::Orthographic,
         }
     }
 }
 
-/// Fibers on a periodic tile above a black plate.
+/// Fibers on a periodic tile above a plate.
 pub struct FiberScene {
     pub(super) geometry: Geometry,
     pub(super) model: &'static dyn Model,
@@ -92,6 +131,7 @@ impl FiberScene {
             scattering,
             lamps,
             worth,
+            plate: self.options.plate,
         }
     }
 }

@@ -55,7 +55,9 @@ pub fn directional_albedo(
     let wi = fiber_direction(theta_i, 0.0);
     rule.integrate(|theta, phi| {
         let cos = theta.cos();
-        let s = scattering.evaluate(wi, fiber_direction(theta, phi)).value;
+        let s = scattering
+            .evaluate(wi, fiber_direction(theta, phi), 0.0)
+            .value;
         s.map(|s| s * cos * cos)
     })
 }
@@ -71,7 +73,9 @@ pub fn reverse_albedo(
     let wo = fiber_direction(theta_o, 0.0);
     rule.integrate(|theta, phi| {
         let cos = theta.cos();
-        let s = scattering.evaluate(fiber_direction(theta, phi), wo).value;
+        let s = scattering
+            .evaluate(fiber_direction(theta, phi), wo, 0.0)
+            .value;
         s.map(|s| s * cos * cos)
     })
 }

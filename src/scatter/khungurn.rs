@@ -192,14 +192,14 @@ impl KhungurnScattering {
 }
 
 impl Scattering for KhungurnScattering {
-    fn evaluate(&self, wi: DVec3, wo: DVec3) -> Evaluation {
+    fn evaluate(&self, wi: DVec3, wo: DVec3, _h: f64) -> Evaluation {
         self.evaluate_angles(&FiberAngles::new(wi), &FiberAngles::new(wo))
             .0
     }
 
     /// One of the lobes is chosen; theta_i is normal about -theta_o, truncated to [-pi/2, pi/2]; the azimuth is uniform for
     /// R and von Mises about phi_o + pi for TT. The density is that of the mixture.
-    fn sample(&self, wo: DVec3, random: &mut Random) -> Option<Sampled> {
+    fn sample(&self, wo: DVec3, _h: f64, random: &mut Random) -> Option<Sampled> {
         let o = FiberAngles::new(wo);
         let from_r = random.uniform() < self.share_of_r(&o);
         let lobe = if from_r { &self.r } else { &self.tt };

@@ -48,13 +48,38 @@ pub struct Sampled {
     pub evaluation: Evaluation,
 }
 
+/// Where a path that meets a fiber leaves it again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Passage {
+    /// At the same longitudinal coordinate, at the far side of the cross-section along the new direction's azimuth: for
+    /// far-field functions, which have averaged over the cross-section.
+    Across,
+    /// Straight on from the point that was hit, through the fiber if the new direction points into it: for near-field
+    /// functions, whose lobes depend on that point.
+    Straight,
+}
+
 /// A scattering function at fixed parameters.
+///
+/// `h` in (-1, 1) is where across the fiber the camera side of the path meets it: the sine of the azimuth from the outward
+/// normal at the hit to `wo` (`gamma_o` of Chiang 2016). Far-field functions do not use it.
 pub trait Scattering: Send + Sync {
     /// Scattering function, derivatives and sampling density.
-    fn evaluate(&self, wi: DVec3, wo: DVec3) -> Evaluation;
+    fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation;
+
+    /// Scattering function and sampling density alone: the same numbers as [`Scattering::evaluate`]'s `value` and `pdf`.
+    fn value(&self, wi: DVec3, wo: DVec3, h: f64) -> ([f64; CHANNELS], f64) {
+        let e = self.evaluate(wi, wo, h);
+        (e.value, e.pdf)
+    }
 
     /// Draws `wi` given `wo`, in proportion to roughly `S cos(theta_i)`. `None` when no light can come back.
-    fn sample(&self, wo: DVec3, random: &mut Random) -> Option<Sampled>;
+    fn sample(&self, wo: DVec3, h: f64, random: &mut Random) -> Option<Sampled>;
+
+    /// Where a path leaves the fiber.
+    fn passage(&self) -> Passage {
+        Passage::Across
+    }
 }
 
 /// A scattering model: a named list of parameters, and what they make.

@@ -57,7 +57,7 @@ pub(crate) fn derivative_error(
             let mut values = parameters.values().to_vec();
             values[slot] = x + k * h;
             let moved = model.prepare(&parameters.with_values(values)).ok()?;
-            Some(moved.evaluate(wi, wo).value)
+            Some(moved.evaluate(wi, wo, 0.0).value)
         };
         let slope = five_points(&value, h);
         for (c, slope) in slope.into_iter().enumerate() {
