@@ -3,158 +3,27 @@
 //! Configurations with the same camera direction in the sample frame share their camera paths (Khungurn 2015's 16 make 7
 //! groups): each path connects to all lamps of its group, so their estimates are correlated, but each is unbiased.
 //!
-//! Pilot paths, from a stream of their own, choose path counts and roulette thresholds and are then thrown away: what is
-//! returned comes from paths whose number and thresholds were fixed beforehand, so means and derivatives are unbiased.
+//! Pilot paths, from streams of their own, choose path counts, roulette thresholds and which branches to follow, and are
+//! then thrown away: what is returned comes from paths whose number and rules were fixed beforehand, so means and
+//! derivatives are unbiased.
 
-use super::light::Lamp;
-use super::path::{Event, Visitor};
+use super::allocation::{
+    Group, MIN_PATHS, TAU, groups, paths_for_accuracy, planned_paths, weighted_variance, worth,
+};
+use super::guide::{Guide, Lesson, Pupil};
 use super::scene::FiberScene;
+use super::summation::{Summation, Sums};
 use super::{Effort, Estimate, Estimates, Request, relative_error_weight, weighted_rms};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
-use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS, Scattering};
+use crate::scatter::{CHANNELS, Scattering};
 use crate::session::Configuration;
-use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Fewest paths per configuration an estimate can be made from: below, batch means say nothing about the error.
-const MIN_PATHS: u64 = 64;
 /// Paths per batch aimed at, and the range of the number of batches.
 const BATCH_PATHS: u64 = 512;
 const BATCHES: (u64, u64) = (32, 512);
-/// The weights' threshold, in normalized radiance (Khungurn 2015 section 5.3).
-const TAU: f64 = 0.02;
-/// Connections worth less than this multiple of a configuration's mean are made with smaller probability. Work to equal
-/// error is flat between 1 and 10 and a tenth higher at 0.1.
-const WORTH: f64 = 1.0;
-
-/// Sums of one lamp: value and derivatives.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Sums {
-    pub(super) value: [f64; CHANNELS],
-    pub(super) derivative: [[f64; CHANNELS]; MAX_ROWS],
-}
-
-/// Follows paths and sums their contributions and scores (Khungurn 2015 eq. 11-17): along a path the derivative of its
-/// contribution is the contribution times the sum of `(dS/dt)/S` over its events; sampling is not differentiated.
-pub(super) struct Summation {
-    rows: usize,
-    /// `before[n]`: what the first `n` events of the present path left.
-    before: Vec<Carried>,
-    pub(super) lamps: Vec<Sums>,
-}
-
-/// What a path has gathered on its way.
-#[derive(Debug, Clone, Copy)]
-struct Carried {
-    throughput: [f64; CHANNELS],
-    score: [[f64; CHANNELS]; MAX_ROWS],
-}
-
-impl Summation {
-    pub(super) fn new(rows: usize, n_lamps: usize) -> Self {
-        Self {
-            rows,
-            before: vec![Carried {
-                throughput: [1.0; CHANNELS],
-                score: [[0.0; CHANNELS]; MAX_ROWS],
-            }],
-            lamps: vec![Sums::default(); n_lamps],
-        }
-    }
-
-    fn set(&mut self, depth: usize, carried: Carried) {
-        match self.before.get_mut(depth) {
-            Some(place) => *place = carried,
-            None => self.before.push(carried),
-        }
-    }
-}
-
-/// `(dS/dt)/S`; where `S` underflows to zero the path carries nothing and the score is taken as zero.
-fn score(evaluation: &Evaluation, row: usize, channel: usize) -> f64 {
-    let value = evaluation.value[channel];
-    if value > 0.0 {
-        evaluation.derivative[row][channel] / value
-    } else {
-        0.0
-    }
-}
-
-impl Visitor for Summation {
-    fn bounce(&mut self, depth: usize, event: Event<'_>) {
-        let mut carried = self.before[depth];
-        for c in 0..CHANNELS {
-            carried.throughput[c] *= event.weight[c];
-            for row in 0..self.rows {
-                carried.score[row][c] += score(event.evaluation, row, c);
-            }
-        }
-        self.set(depth + 1, carried);
-    }
-
-    fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]) {
-        let mut carried = self.before[depth];
-        for c in 0..CHANNELS {
-            carried.throughput[c] *= weight[c];
-        }
-        self.set(depth + 1, carried);
-    }
-
-    fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>) {
-        let (sums, carried) = (&mut self.lamps[lamp], &self.before[depth]);
-        for c in 0..CHANNELS {
-            let contribution = carried.throughput[c] * event.weight[c];
-            sums.value[c] += contribution;
-            for row in 0..self.rows {
-                sums.derivative[row][c] +=
-                    contribution * (carried.score[row][c] + score(event.evaluation, row, c));
-            }
-        }
-    }
-
-    fn arrive(&mut self, depth: usize, lamp: usize, factor: [f64; CHANNELS]) {
-        let (sums, carried) = (&mut self.lamps[lamp], &self.before[depth]);
-        for c in 0..CHANNELS {
-            let contribution = carried.throughput[c] * factor[c];
-            sums.value[c] += contribution;
-            for row in 0..self.rows {
-                sums.derivative[row][c] += contribution * carried.score[row][c];
-            }
-        }
-    }
-}
-
-/// Configurations that share camera paths.
-struct Group {
-    toward_camera: DVec3,
-    /// Indices into the request's configurations.
-    members: Vec<usize>,
-    lamps: Vec<Lamp>,
-}
-
-fn groups(scene: &FiberScene, configurations: &[Configuration]) -> Vec<Group> {
-    let mut groups: Vec<Group> = Vec::new();
-    for (index, c) in configurations.iter().enumerate() {
-        let toward_camera = c.camera_in_sample().vector();
-        match groups
-            .iter_mut()
-            .find(|g| (g.toward_camera - toward_camera).length() < 1e-12)
-        {
-            Some(group) => group.members.push(index),
-            None => groups.push(Group {
-                toward_camera,
-                members: vec![index],
-                lamps: Vec::new(),
-            }),
-        }
-    }
-    for group in &mut groups {
-        group.lamps = scene.lamps(group.members.iter().map(|&i| configurations[i]));
-    }
-    groups
-}
 
 /// Fraction of an asked accuracy aimed at: pilots miss the rarest bright paths and promise a little too much.
 const AIM: f64 = 0.9;
@@ -162,16 +31,22 @@ const AIM: f64 = 0.9;
 /// Most pilot rounds.
 const MAX_PILOTS: u64 = 6;
 
+/// Fewest pilot paths of a group that teach its guide more than they cost.
+const SCHOOL: u64 = 500;
+
+/// What a ray of a guided path costs in rays of one without: more directions are sampled at each hit.
+const GUIDED_RAY: f64 = 1.25;
+
 /// One round of paths over all groups.
 struct Round<'a> {
     scene: &'a FiberScene,
     scattering: &'a dyn Scattering,
-    rows: usize,
     groups: &'a [Group],
     /// Paths per group.
     paths: Vec<u64>,
     /// Per configuration, see [`super::path::Stage::worth`].
     worth: Vec<f64>,
+    guides: Vec<Guide>,
     /// Key of the random streams: seed, stream, round.
     key: [u64; 3],
     stage_name: &'a str,
@@ -179,73 +54,131 @@ struct Round<'a> {
 
 /// Mean, its squared standard error, and the same for the derivatives.
 #[derive(Debug, Clone, Copy, Default)]
-struct Moments {
-    mean: Sums,
-    variance: Sums,
+pub(super) struct Moments {
+    pub(super) mean: Sums,
+    pub(super) variance: Sums,
 }
 
 impl Round<'_> {
-    fn run(&self, n_configurations: usize, watch: &dyn Watch) -> Result<Vec<Moments>> {
-        let batches: Vec<u64> = self
-            .paths
-            .iter()
-            .map(|n| (n / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1))
-            .collect();
-        let tasks: Vec<(usize, u64)> = batches
-            .iter()
-            .enumerate()
-            .flat_map(|(g, &n)| (0..n).map(move |b| (g, b)))
+    fn batches(&self, g: usize) -> u64 {
+        (self.paths[g] / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1)
+    }
+
+    /// Results of all batches, per group. `one(group, batch, paths)` traces a batch.
+    fn run<T: Send>(
+        &self,
+        watch: &dyn Watch,
+        one: impl Fn(usize, u64, u64) -> T + Sync,
+    ) -> Result<Vec<Vec<T>>> {
+        let tasks: Vec<(usize, u64)> = (0..self.groups.len())
+            .flat_map(|g| (0..self.batches(g)).map(move |b| (g, b)))
             .collect();
         let (done, total) = (AtomicU64::new(0), self.paths.iter().sum::<u64>());
-        let results: Vec<Option<Vec<Sums>>> = tasks
+        let results: Vec<Option<T>> = tasks
             .par_iter()
             .map(|&(g, b)| {
                 if watch.cancelled() {
                     return None;
                 }
-                let n = batch_size(self.paths[g], batches[g], b);
-                let sums = self.batch(g, b, n);
-                watch.progress(
-                    self.stage_name,
-                    done.fetch_add(n, Ordering::Relaxed) + n,
-                    total,
-                );
-                Some(sums)
+                let n = batch_size(self.paths[g], self.batches(g), b);
+                let result = one(g, b, n);
+                let so_far = done.fetch_add(n, Ordering::Relaxed) + n;
+                watch.progress(self.stage_name, so_far, total);
+                Some(result)
             })
             .collect();
-        let results: Vec<Vec<Sums>> = results
-            .into_iter()
-            .collect::<Option<_>>()
-            .ok_or_else(interrupted)?;
-
-        let mut moments = vec![Moments::default(); n_configurations];
-        let mut rest = results.as_slice();
-        for (g, group) in self.groups.iter().enumerate() {
-            let (mine, others) = rest.split_at(batches[g] as usize);
-            rest = others;
-            for (lamp, &member) in group.members.iter().enumerate() {
-                let sizes =
-                    (0..batches[g]).map(|b| batch_size(self.paths[g], batches[g], b) as f64);
-                moments[member] = combine(mine.iter().map(|b| &b[lamp]).zip(sizes), self.rows);
-            }
-        }
-        Ok(moments)
+        let mut results = results.into_iter();
+        (0..self.groups.len())
+            .map(|g| results.by_ref().take(self.batches(g) as usize).collect())
+            .collect::<Option<Vec<Vec<T>>>>()
+            .ok_or_else(|| Error::new("interrupted"))
     }
 
-    fn batch(&self, g: usize, batch: u64, n: u64) -> Vec<Sums> {
+    /// Traces the paths of one batch.
+    fn trace<V: super::path::Visitor>(
+        &self,
+        g: usize,
+        batch: u64,
+        n: u64,
+        visitor: &mut V,
+        finish_path: impl Fn(&mut V),
+    ) {
         let group = &self.groups[g];
         let worth: Vec<f64> = group.members.iter().map(|&m| self.worth[m]).collect();
-        let stage = self.scene.stage(self.scattering, &group.lamps, &worth);
+        let guide = &self.guides[g];
+        let stage = self
+            .scene
+            .stage(self.scattering, &group.lamps, &worth, guide);
         let [seed, stream, round] = self.key;
         let mut random = Random::keyed(&[seed, stream, round, g as u64, batch]);
-        let mut sums = Summation::new(self.rows, group.lamps.len());
         for _ in 0..n {
             let through = self.scene.start(&mut random);
             let view = self.scene.options.view;
             let toward_camera = view.toward_camera(through, group.toward_camera);
-            stage.follow(through, toward_camera, &mut random, &mut sums);
+            stage.follow(through, toward_camera, &mut random, visitor);
+            finish_path(visitor);
         }
-        sums.lamps
+    }
+
+    /// Moments of all configurations.
+    fn render(
+        &self,
+        rows: usize,
+        n_configurations: usize,
+        watch: &dyn Watch,
+    ) -> Result<Vec<Moments>> {
+        let batches = self.run(watch, |g, b, n| {
+            let mut sums = Summation::new(rows, self.groups[g].lamps.len());
+            self.trace(g, b, n, &mut sums, |_| ());
+            sums.lamps
+        })?;
+        Ok(self.moments(&batches, rows, n_configurations))
+    }
+
+    /// Moments of the values alone, and per group what the paths taught and how many rays they took.
+    fn pilot(
+        &self,
+        n_configurations: usize,
+        watch: &dyn Watch,
+    ) -> Result<(Vec<Moments>, Vec<(Lesson, f64)>)> {
+        let batches = self.run(watch, |g, b, n| {
+            let mut pupil = Pupil::new(self.groups[g].lamps.len());
+            self.trace(g, b, n, &mut pupil, Pupil::finish_path);
+            pupil
+        })?;
+        let sums = |p: &Pupil| {
+            let one = |&value: &[f64; CHANNELS]| Sums {
+                value,
+                ..Sums::default()
+            };
+            p.sums.iter().map(one).collect::<Vec<_>>()
+        };
+        let values: Vec<Vec<Vec<Sums>>> = batches
+            .iter()
+            .map(|group| group.iter().map(sums).collect())
+            .collect();
+        let learned = batches
+            .iter()
+            .enumerate()
+            .map(|(g, pupils)| {
+                let mut lesson = Lesson::new(self.groups[g].lamps.len());
+                pupils.iter().for_each(|p| lesson.merge(&p.lesson));
+                (lesson, pupils.iter().map(|p| p.rays).sum())
+            })
+            .collect();
+        Ok((self.moments(&values, 0, n_configurations), learned))
+    }
+
+    fn moments(&self, batches: &[Vec<Vec<Sums>>], rows: usize, n: usize) -> Vec<Moments> {
+        let mut moments = vec![Moments::default(); n];
+        for (g, (group, mine)) in self.groups.iter().zip(batches).enumerate() {
+            for (lamp, &member) in group.members.iter().enumerate() {
+                let sizes = (0..self.batches(g))
+                    .map(|b| batch_size(self.paths[g], self.batches(g), b) as f64);
+                moments[member] = combine(mine.iter().map(|b| &b[lamp]).zip(sizes), rows);
+            }
+        }
+        moments
     }
 }
 
@@ -279,8 +212,61 @@ fn combine<'a>(batches: impl Iterator<Item = (&'a Sums, f64)> + Clone, rows: usi
     moments
 }
 
-fn interrupted() -> Error {
-    Error::new("interrupted")
+/// What the pilots have settled so far; vectors hold one entry per group, `moments` one per configuration.
+struct Settled {
+    moments: Vec<Moments>,
+    /// Paths of the latest pilot.
+    paths: Vec<u64>,
+    guides: Vec<Guide>,
+    /// Weighted variance of one path, and its cost in rays, at the latest pilot.
+    variance: Vec<f64>,
+    cost: Vec<f64>,
+    /// Cost times variance of a path without a guide.
+    unguided: Vec<f64>,
+}
+
+impl Settled {
+    fn nothing(n_configurations: usize, groups: usize) -> Self {
+        Self {
+            moments: vec![Moments::default(); n_configurations],
+            paths: vec![0; groups],
+            guides: vec![Guide::FRESH; groups],
+            variance: vec![0.0; groups],
+            cost: vec![1.0; groups],
+            unguided: vec![f64::INFINITY; groups],
+        }
+    }
+
+    /// Takes over a pilot's results, and learns from it where it was large enough. A guide that made things worse is
+    /// dropped.
+    fn learn(&mut self, round: &Round<'_>, moments: Vec<Moments>, learned: &[(Lesson, f64)]) {
+        for (g, (lesson, rays)) in learned.iter().enumerate() {
+            let members = &round.groups[g].members;
+            let paths = round.paths[g] as f64;
+            let variance: f64 = members
+                .iter()
+                .map(|&m| weighted_variance(&moments[m]))
+                .sum();
+            let (rays, variance) = (rays / paths, variance * paths);
+            let fresh = round.guides[g].is_fresh();
+            let cost = if fresh { rays } else { GUIDED_RAY * rays };
+            if fresh {
+                self.unguided[g] = cost * variance;
+            }
+            let worse = cost * variance > self.unguided[g];
+            let guide = if worse || round.paths[g] < SCHOOL {
+                None
+            } else {
+                let weight = |&m: &usize| relative_error_weight(moments[m].mean.value, TAU);
+                let weights: Vec<f64> = members.iter().map(weight).collect();
+                lesson.guide(&weights, rays / variance)
+            };
+            self.guides[g] = guide.unwrap_or(Guide::FRESH);
+            (self.variance[g], self.cost[g]) = (variance, cost);
+        }
+        self.moments = moments;
+        self.paths.clone_from(&round.paths);
+    }
 }
 
 /// See [`super::Scene::estimate`].
@@ -299,65 +285,80 @@ pub(super) fn estimate(
     let scattering = scene.model.prepare(request.parameters)?;
     let groups = groups(scene, configurations);
     let rows = scene.model.parameters().len();
-    let round = |number: u64, paths: Vec<u64>, worth: Vec<f64>, stage_name: &str| {
-        let key = [request.seed, request.stream, number];
-        let round = Round {
-            scene,
-            scattering: &*scattering,
-            rows,
-            groups: &groups,
-            paths,
-            worth,
-            key,
-            stage_name,
-        };
-        round
-            .run(configurations.len(), watch)
-            .map(|m| (m, round.paths))
+    let n = configurations.len();
+    let round = |number: u64, paths: Vec<u64>, settled: &Settled, stage_name| Round {
+        scene,
+        scattering: &*scattering,
+        groups: &groups,
+        paths,
+        worth: worth(&settled.moments),
+        guides: settled.guides.clone(),
+        key: [request.seed, request.stream, number],
+        stage_name,
     };
-
-    let planned = planned_paths(&request.effort, &groups)?;
-    let pilot_paths = |n: u64| (n / 16).clamp(MIN_PATHS, 1024);
-    let pilot = planned.as_ref().map_or(vec![2048; groups.len()], |p| {
-        p.iter().map(|&n| pilot_paths(n)).collect()
-    });
-    let (mut moments, mut paths) = round(0, pilot, vec![0.0; configurations.len()], "pilot")?;
-    let final_paths = match (&request.effort, planned) {
-        (Effort::Accuracy(target), _) => {
+    let mut settled = Settled::nothing(n, groups.len());
+    let pilot = |number: u64, paths: Vec<u64>, settled: &mut Settled| -> Result<()> {
+        let round = round(number, paths, settled, "pilot");
+        let (moments, learned) = round.pilot(n, watch)?;
+        settled.learn(&round, moments, &learned);
+        Ok(())
+    };
+    let final_paths = match planned_paths(&request.effort, &groups)? {
+        Some(planned) => {
+            for (number, paths) in planned_pilots(&planned).into_iter().enumerate() {
+                pilot(number as u64, paths, &mut settled)?;
+            }
+            planned
+        }
+        None => {
+            let Effort::Accuracy(target) = request.effort else {
+                unreachable!("only an accuracy leaves the path counts open")
+            };
+            pilot(0, vec![2048; groups.len()], &mut settled)?;
             // Rare bright paths make a small pilot's variances too low: repeat with larger ones until a pilot is about an
             // eighth of the work it predicts.
-            let mut needed = paths_for_accuracy(&moments, &paths, &groups, AIM * target);
+            let needed = |s: &Settled| paths_for_accuracy(&s.variance, &s.cost, n, AIM * target);
             for number in 1..MAX_PILOTS {
-                if 9 * paths.iter().sum::<u64>() >= needed.iter().sum::<u64>() {
+                let wanted = needed(&settled);
+                if 9 * settled.paths.iter().sum::<u64>() >= wanted.iter().sum::<u64>() {
                     break;
                 }
-                let larger = needed.iter().map(|n| (n / 8).max(MIN_PATHS)).collect();
-                (moments, paths) = round(number, larger, worth(&moments), "pilot")?;
-                needed = paths_for_accuracy(&moments, &paths, &groups, AIM * target);
+                let larger = wanted.iter().map(|n| (n / 8).max(MIN_PATHS)).collect();
+                pilot(number, larger, &mut settled)?;
             }
-            needed
+            needed(&settled)
         }
-        (_, Some(planned)) => planned,
-        (_, None) => unreachable!("only an accuracy leaves the path counts open"),
     };
-    let (moments, paths) = round(MAX_PILOTS, final_paths, worth(&moments), "render")?;
+    let last = round(MAX_PILOTS, final_paths, &settled, "render");
+    let moments = last.render(rows, n, watch)?;
 
-    let mut estimates = Vec::with_capacity(configurations.len());
+    let mut estimates = Vec::with_capacity(n);
     for (index, (c, m)) in configurations.iter().zip(&moments).enumerate() {
         let group = groups.iter().position(|g| g.members.contains(&index));
-        estimates.push(finished(
-            c,
-            m,
-            rows,
-            group.map_or(0, |g| paths[g]),
-            request,
-        )?);
+        let paths = group.map_or(0, |g| last.paths[g]);
+        estimates.push(finished(c, m, rows, paths, request)?);
     }
     Ok(Estimates {
         configurations: estimates,
         cpu_s: cpu_seconds() - clock.1,
         wall_s: clock.0.elapsed().as_secs_f64(),
     })
+}
+
+/// Sizes of the pilots before a planned number of paths: a small one without guide, and one more to learn from where
+/// there is enough to gain.
+fn planned_pilots(planned: &[u64]) -> Vec<Vec<u64>> {
+    let of = |part: u64| -> Vec<u64> {
+        planned
+            .iter()
+            .map(|n| (n / part).clamp(MIN_PATHS, 8192))
+            .collect()
+    };
+    if planned.iter().any(|n| n / 16 >= SCHOOL) {
+        vec![of(16), of(12)]
+    } else {
+        vec![of(16)]
+    }
 }
 
 fn finished(
@@ -400,72 +401,6 @@ fn finished(
             .collect(),
         paths,
     })
-}
-
-/// Paths per group when the effort states them; `None` for an accuracy.
-fn planned_paths(effort: &Effort, groups: &[Group]) -> Result<Option<Vec<u64>>> {
-    match effort {
-        Effort::Paths(n) if *n < MIN_PATHS => Err(Error::new(format!(
-            "{n} paths per configuration are too few"
-        ))
-        .with_hint(format!(
-            "at least {MIN_PATHS} are needed for a standard error"
-        ))),
-        Effort::Paths(n) => Ok(Some(vec![*n; groups.len()])),
-        Effort::Total { paths, shares } => {
-            let n: usize = groups.iter().map(|g| g.members.len()).sum();
-            if shares.len() != n || !shares.iter().all(|s| *s > 0.0 && s.is_finite()) {
-                return Err(Error::new(format!(
-                    "path shares: expected {n} positive numbers, found {shares:?}"
-                )));
-            }
-            let of = |g: &Group| g.members.iter().map(|&m| shares[m]).fold(0.0, f64::max);
-            let all: f64 = groups.iter().map(of).sum();
-            let paths = *paths as f64;
-            Ok(Some(
-                groups
-                    .iter()
-                    .map(|g| ((paths * of(g) / all).round() as u64).max(MIN_PATHS))
-                    .collect(),
-            ))
-        }
-        Effort::Accuracy(a) if (1e-5..=0.5).contains(a) => Ok(None),
-        Effort::Accuracy(a) => Err(Error::new(format!(
-            "accuracy {a} is out of range: expected 0.00001 to 0.5"
-        ))
-        .with_hint("write 1% or 0.01 for a weighted rms standard error of one percent")),
-    }
-}
-
-/// Roulette thresholds from a pilot's means.
-fn worth(pilot: &[Moments]) -> Vec<f64> {
-    pilot
-        .iter()
-        .map(|m| WORTH * (m.mean.value.iter().sum::<f64>() / CHANNELS as f64))
-        .collect()
-}
-
-/// Paths per group (Neyman 1934) so that the weighted rms standard error meets `target`, given a pilot.
-fn paths_for_accuracy(pilot: &[Moments], paths: &[u64], groups: &[Group], target: f64) -> Vec<u64> {
-    // Weighted variance per path of each group.
-    let spread: Vec<f64> = groups
-        .iter()
-        .zip(paths)
-        .map(|(g, &n)| {
-            let of = |&m: &usize| {
-                let Moments { mean, variance } = &pilot[m];
-                relative_error_weight(mean.value, TAU) * variance.value.iter().sum::<f64>()
-            };
-            n as f64 * g.members.iter().map(of).sum::<f64>()
-        })
-        .collect();
-    // Minimize sum n subject to sum spread / n = target^2 (number of values).
-    let allowed = target * target * (CHANNELS * pilot.len()) as f64;
-    let root_sum: f64 = spread.iter().map(|s| s.sqrt()).sum();
-    spread
-        .iter()
-        .map(|s| ((root_sum * s.sqrt() / allowed).ceil() as u64).max(MIN_PATHS))
-        .collect()
 }
 
 impl Estimates {

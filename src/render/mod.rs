@@ -3,14 +3,17 @@
 //! Knows neither files nor fitting. A [`Scene`] is anything that can estimate the mean normalized radiance of a list of
 //! configurations, with standard errors and derivatives by parameter name.
 
+mod allocation;
 mod estimate;
 mod geometry;
+mod guide;
 #[cfg(test)]
 mod laws;
 mod light;
 mod path;
 mod picture;
 mod scene;
+mod summation;
 
 pub use light::LightShape;
 pub use picture::TilePicture;

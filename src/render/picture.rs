@@ -1,5 +1,6 @@
 //! What the camera sees of one tile: normalized radiance over the sample plane.
 
+use super::guide::Guide;
 use super::path::{Event, Visitor};
 use super::scene::FiberScene;
 use crate::base::{Error, Result, Watch};
@@ -108,7 +109,8 @@ impl FiberScene {
             if watch.cancelled() {
                 return None;
             }
-            let stage = self.stage(&*scattering, &lamps, &[0.0]);
+            let guide = Guide::FRESH;
+            let stage = self.stage(&*scattering, &lamps, &[0.0], &guide);
             let texel = |x: usize| {
                 let key = [
                     seed,

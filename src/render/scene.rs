@@ -1,6 +1,7 @@
 //! A woven or imported fiber tile as a scene: flat swatch, a plate below, square light, camera.
 
 use super::geometry::Geometry;
+use super::guide::{Guide, StateMap};
 use super::light::{Lamp, LightShape};
 use super::path::Stage;
 use super::{Estimates, Request, Scene, estimate};
@@ -72,6 +73,7 @@ impl Default for FiberSceneOptions {
 /// Fibers on a periodic tile above a plate.
 pub struct FiberScene {
     pub(super) geometry: Geometry,
+    map: StateMap,
     pub(super) model: &'static dyn Model,
     pub(super) options: FiberSceneOptions,
     pub(super) tile_size: [f64; 2],
@@ -96,8 +98,10 @@ impl FiberScene {
         model: &'static dyn Model,
         options: FiberSceneOptions,
     ) -> Result<Self> {
+        let geometry = Geometry::new(tile)?;
         Ok(Self {
-            geometry: Geometry::new(tile)?,
+            map: StateMap::new(&geometry, tile.size),
+            geometry,
             model,
             options,
             tile_size: tile.size,
@@ -125,6 +129,7 @@ impl FiberScene {
         scattering: &'a dyn crate::scatter::Scattering,
         lamps: &'a [Lamp],
         worth: &'a [f64],
+        guide: &'a Guide,
     ) -> Stage<'a> {
         Stage {
             geometry: &self.geometry,
@@ -132,6 +137,8 @@ impl FiberScene {
             lamps,
             worth,
             plate: self.options.plate,
+            map: &self.map,
+            guide,
         }
     }
 }
