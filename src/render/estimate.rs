@@ -59,6 +59,9 @@ pub(super) struct Moments {
     pub(super) variance: Sums,
 }
 
+/// What a group's pilot paths taught, and how many rays they took.
+type Learned = (Lesson, f64);
+
 impl Round<'_> {
     fn batches(&self, g: usize) -> u64 {
         (self.paths[g] / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1)
@@ -140,7 +143,7 @@ impl Round<'_> {
         &self,
         n_configurations: usize,
         watch: &dyn Watch,
-    ) -> Result<(Vec<Moments>, Vec<(Lesson, f64)>)> {
+    ) -> Result<(Vec<Moments>, Vec<Learned>)> {
         let batches = self.run(watch, |g, b, n| {
             let mut pupil = Pupil::new(self.groups[g].lamps.len());
             self.trace(g, b, n, &mut pupil, Pupil::finish_path);
@@ -239,7 +242,7 @@ impl Settled {
 
     /// Takes over a pilot's results, and learns from it where it was large enough. A guide that made things worse is
     /// dropped.
-    fn learn(&mut self, round: &Round<'_>, moments: Vec<Moments>, learned: &[(Lesson, f64)]) {
+    fn learn(&mut self, round: &Round<'_>, moments: Vec<Moments>, learned: &[Learned]) {
         for (g, (lesson, rays)) in learned.iter().enumerate() {
             let members = &round.groups[g].members;
             let paths = round.paths[g] as f64;

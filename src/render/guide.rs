@@ -64,11 +64,17 @@ impl StateMap {
         let top = self.top[cell(point.y, self.size[1]) * MAP + cell(point.x, self.size[0])];
         let depth = ((top - point.z) / (self.z_range[1] - self.z_range[0])).max(0.0);
         let bin = |unit: f64, n: usize| ((unit * n as f64) as usize).min(n - 1);
-        let azimuth = direction.y.atan2(direction.x) / std::f64::consts::TAU + 0.5;
         (bin(depth.sqrt(), DEPTHS) * ELEVATIONS + bin(0.5 * (direction.z + 1.0), ELEVATIONS))
             * AZIMUTHS
-            + bin(azimuth, AZIMUTHS)
+            + bin(turn(direction), AZIMUTHS)
     }
+}
+
+/// The azimuth of a direction as a part of a full turn, along a square instead of a circle: only bins are made of it.
+fn turn(d: DVec3) -> f64 {
+    let slope = d.y / (d.x.abs() + d.y.abs()).max(1e-300);
+    let half = if d.x >= 0.0 { slope } else { 2.0 - slope };
+    0.25 * (half + 1.0)
 }
 
 /// Advice on which branches to follow, for one group of configurations.

@@ -90,9 +90,9 @@ struct Leg {
 
 /// How a leg began.
 enum Begun {
-    AtCamera,
-    AtFiber(Scatter),
-    AtPlate {
+    Camera,
+    Fiber(Scatter),
+    Plate {
         weight: [f64; CHANNELS],
         pdf: f64,
         from: DVec3,
@@ -129,7 +129,7 @@ impl Stage<'_> {
             direction: -toward_camera,
             throughput: [1.0; CHANNELS],
             skip: Skip::NOTHING,
-            begun: Begun::AtCamera,
+            begun: Begun::Camera,
         }];
         while let Some(leg) = open.pop() {
             self.begin(&leg, visitor);
@@ -144,8 +144,8 @@ impl Stage<'_> {
     /// Tells of the event with which a leg begins, and of lamps it may meet.
     fn begin(&self, leg: &Leg, visitor: &mut impl Visitor) {
         match &leg.begun {
-            Begun::AtCamera => {}
-            Begun::AtFiber(s) => {
+            Begun::Camera => {}
+            Begun::Fiber(s) => {
                 let evaluation = self.scattering.evaluate(s.wi, s.wo, s.h);
                 let event = Event {
                     wi: s.wi,
@@ -158,7 +158,7 @@ impl Stage<'_> {
                 visitor.set_out(leg.depth, s.state);
                 self.arrive_on_lamps(leg, s.from, s.pdf, visitor);
             }
-            Begun::AtPlate {
+            Begun::Plate {
                 weight,
                 pdf,
                 from,
@@ -206,7 +206,7 @@ impl Stage<'_> {
                 direction,
                 throughput: grown.map(|g| g / survival),
                 skip,
-                begun: Begun::AtFiber(Scatter {
+                begun: Begun::Fiber(Scatter {
                     wi: sampled.wi,
                     wo,
                     h: place.h,
@@ -245,7 +245,7 @@ impl Stage<'_> {
                 };
                 let wi = place.frame.to_local(point.direction);
                 let (value, pdf) = self.scattering.density(wi, wo, place.h, leg.throughput);
-                let cosine = wi.y.hypot(wi.z);
+                let cosine = across(wi);
                 let factor =
                     lamp.normalized_radiance() * cosine / (point.pdf + pdf) / points as f64;
                 let worth = factor * largest(times(leg.throughput, value));
@@ -342,7 +342,7 @@ impl Stage<'_> {
                 direction,
                 throughput: grown.map(|g| g / survival),
                 skip: Skip::NOTHING,
-                begun: Begun::AtPlate {
+                begun: Begun::Plate {
                     weight: albedo.map(|a| a / survival),
                     pdf: cosine * FRAC_1_PI,
                     from: point,
@@ -386,6 +386,11 @@ fn largest(v: [f64; CHANNELS]) -> f64 {
     v[0].max(v[1]).max(v[2])
 }
 
+/// Length of a vector's part across the fiber; of a unit vector the cosine to the fiber's normal plane.
+fn across(w: DVec3) -> f64 {
+    (w.y * w.y + w.z * w.z).sqrt()
+}
+
 /// A hit, with the fiber's frame and cross-section.
 struct Place {
     hit: Hit,
@@ -408,7 +413,7 @@ impl Place {
         let offset = from_start - tangent * along;
         let frame = Frame::from_tangent(tangent);
         let (n, wo) = (frame.to_local(offset), frame.to_local(-direction));
-        let area = (n.y.hypot(n.z)) * (wo.y.hypot(wo.z));
+        let area = across(n) * across(wo);
         let h = if area > 0.0 {
             ((n.y * wo.z - n.z * wo.y) / area).clamp(-1.0, 1.0)
         } else {

@@ -243,6 +243,9 @@ impl Scattering for KhungurnScattering {
 
     /// One for each width of the R lobe within the light's angular radius, where that lobe matters.
     fn light_points(&self, wi: DVec3, wo: DVec3, half_angle: f64) -> usize {
+        if half_angle < 2.0 * self.r.width {
+            return 1;
+        }
         let (i, o) = (FiberAngles::new(wi), FiberAngles::new(wo));
         let off = 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t);
         if off.abs() > half_angle + 4.0 * self.r.width {
