@@ -24,7 +24,7 @@ const MIN_PATHS: u64 = 64;
 const BATCH_PATHS: u64 = 512;
 const BATCHES: (u64, u64) = (32, 512);
 /// The weights' threshold, in normalized radiance (Khungurn 2015 section 5.3).
-const TAU: f64 = 0.02;
+pub(super) const TAU: f64 = 0.02;
 /// Connections worth less than this multiple of a configuration's mean are made with smaller probability. Work to equal
 /// error is flat between 1 and 10 and a tenth higher at 0.1.
 const WORTH: f64 = 1.0;
@@ -127,14 +127,14 @@ impl Visitor for Summation {
 }
 
 /// Configurations that share camera paths.
-struct Group {
-    toward_camera: DVec3,
+pub(super) struct Group {
+    pub(super) toward_camera: DVec3,
     /// Indices into the request's configurations.
-    members: Vec<usize>,
-    lamps: Vec<Lamp>,
+    pub(super) members: Vec<usize>,
+    pub(super) lamps: Vec<Lamp>,
 }
 
-fn groups(scene: &FiberScene, configurations: &[Configuration]) -> Vec<Group> {
+pub(super) fn groups(scene: &FiberScene, configurations: &[Configuration]) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     for (index, c) in configurations.iter().enumerate() {
         let toward_camera = c.camera_in_sample().vector();
@@ -439,10 +439,12 @@ fn planned_paths(effort: &Effort, groups: &[Group]) -> Result<Option<Vec<u64>>> 
 
 /// Roulette thresholds from a pilot's means.
 fn worth(pilot: &[Moments]) -> Vec<f64> {
-    pilot
-        .iter()
-        .map(|m| WORTH * (m.mean.value.iter().sum::<f64>() / CHANNELS as f64))
-        .collect()
+    pilot.iter().map(|m| worth_of(m.mean.value)).collect()
+}
+
+/// The roulette threshold of a lamp that makes this mean.
+pub(super) fn worth_of(mean: [f64; CHANNELS]) -> f64 {
+    WORTH * (mean.iter().sum::<f64>() / CHANNELS as f64)
 }
 
 /// Paths per group (Neyman 1934) so that the weighted rms standard error meets `target`, given a pilot.

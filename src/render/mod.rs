@@ -13,7 +13,7 @@ mod picture;
 mod scene;
 
 pub use light::LightShape;
-pub use picture::TilePicture;
+pub use picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
 pub use scene::{FiberScene, FiberSceneOptions, Plate, View};
 
 use crate::base::{Result, Watch};

@@ -1,149 +1,551 @@
-//! What the camera sees of one tile: normalized radiance over the sample plane.
+//! Pictures: what the camera sees of a part of the sample, pixel by pixel, with derivatives from the same paths.
+//!
+//! A pixel is a rectangle of the sample plane z = 0 in the sample frame (columns along +x, rows along -y): its value is
+//! the mean normalized radiance over the camera's rays through that rectangle. So a picture is rectified: foreshortening
+//! is taken out, every pixel stands for the same area of cloth, and the mean of a picture of the sample square is what
+//! [`super::Scene::estimate`] estimates. It does not show the outline that the cloth has for the camera.
+//!
+//! Poses that share their camera direction share paths, as in [`super::estimate`]; pixels never do.
 
-use super::path::{Event, Visitor};
+use super::estimate::{Group, Summation, Sums, TAU, groups, worth_of};
+use super::path::Stage;
+use super::relative_error_weight;
 use super::scene::FiberScene;
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
-use crate::scatter::{CHANNELS, Parameters};
+use crate::math::statistics::Running;
+use crate::scatter::{CHANNELS, Parameters, Scattering};
 use crate::session::Configuration;
 use glam::DVec3;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Normalized radiance of a tile by the point of the plane z = 0 the camera's ray passes through; it repeats with the
-/// tile.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TilePicture {
-    /// Texels in x and y.
-    pub resolution: [usize; 2],
-    /// Tile size, millimeters.
+/// A rectangle of the sample plane, in the sample frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Region {
+    /// Its middle, millimeters.
+    pub center: [f64; 2],
+    /// Its sides along x and y, millimeters.
     pub size: [f64; 2],
-    /// Row by row (y, then x).
-    pub texels: Vec<[f64; 3]>,
 }
 
-impl TilePicture {
-    /// The radiance at a point of the sample plane, millimeters; bilinear between texel centers, periodic.
-    pub fn at(&self, point: [f64; 2]) -> [f64; 3] {
+/// How much work a picture may cost.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PictureEffort {
+    /// Camera paths for each pixel, at least 2.
+    PathsPerPixel(u64),
+    /// As many paths for each pixel of a pose as make the root mean square of its pixels' standard errors this fraction
+    /// of its mean (of 0.02 if that is more).
+    Accuracy(f64),
+}
+
+/// Which pictures are wanted.
+#[derive(Debug, Clone)]
+pub struct PictureRequest<'a> {
+    /// The poses, a picture of each.
+    pub configurations: &'a [Configuration],
+    /// The model's parameter values.
+    pub parameters: &'a Parameters,
+    /// What is seen.
+    pub region: Region,
+    /// Pixels along x and along y.
+    pub resolution: [usize; 2],
+    /// How much work.
+    pub effort: PictureEffort,
+    /// By which parameters to differentiate: rows of the model's list.
+    pub derivatives: &'a [usize],
+    /// The user's seed.
+    pub seed: u64,
+}
+
+/// One number per pixel and channel, the top left pixel (lowest x, highest y) first, row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Layer {
+    /// Estimates.
+    pub value: Vec<[f32; CHANNELS]>,
+    /// Their standard errors, independent from pixel to pixel.
+    pub standard_error: Vec<[f32; CHANNELS]>,
+}
+
+impl Layer {
+    /// The mean over all pixels and its standard error, per channel.
+    pub fn mean(&self) -> ([f64; CHANNELS], [f64; CHANNELS]) {
+        let n = self.value.len() as f64;
+        let sum = |c: usize| self.value.iter().map(|v| f64::from(v[c])).sum::<f64>();
+        (
+            std::array::from_fn(|c| sum(c) / n),
+            std::array::from_fn(|c| self.sum_variance(c).sqrt() / n),
+        )
+    }
+
+    fn sum_variance(&self, channel: usize) -> f64 {
+        let square = |e: &[f32; CHANNELS]| f64::from(e[channel]).powi(2);
+        self.standard_error.iter().map(square).sum()
+    }
+
+    /// Root mean square standard error of a pixel, relative to the mean as [`relative_error_weight`] has it.
+    fn relative_error(&self) -> f64 {
+        let n = (CHANNELS * self.value.len()) as f64;
+        let variance: f64 = (0..CHANNELS).map(|c| self.sum_variance(c)).sum();
+        (relative_error_weight(self.mean().0, TAU) * variance / n).sqrt()
+    }
+}
+
+/// What the camera of one configuration sees.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// The configuration's id.
+    pub config: u32,
+    /// What is seen.
+    pub region: Region,
+    /// Pixels along x and along y.
+    pub resolution: [usize; 2],
+    /// Camera paths per pixel.
+    pub paths: u64,
+    /// Normalized radiance.
+    pub radiance: Layer,
+    /// Its derivatives, as many as were asked for (angles per radian).
+    pub derivatives: Vec<Layer>,
+}
+
+impl Picture {
+    /// The radiance at a point of the sample plane, millimeters, as if the picture's region were repeated without end (a
+    /// tile is); bilinear between pixel centers.
+    pub fn at(&self, point: [f64; 2]) -> [f64; CHANNELS] {
         let [nx, ny] = self.resolution;
-        let place = |p: f64, size: f64, n: usize| {
-            let x = (p / size).rem_euclid(1.0) * n as f64 - 0.5;
+        let place = |from_low_end: f64, size: f64, n: usize| {
+            let x = (from_low_end / size).rem_euclid(1.0) * n as f64 - 0.5;
             let low = x.floor();
-            (
-                (low.rem_euclid(n as f64)) as usize % n,
-                (low + 1.0).rem_euclid(n as f64) as usize % n,
-                x - low,
-            )
+            let wrapped = |i: f64| i.rem_euclid(n as f64) as usize % n;
+            (wrapped(low), wrapped(low + 1.0), x - low)
         };
-        let (x0, x1, fx) = place(point[0], self.size[0], nx);
-        let (y0, y1, fy) = place(point[1], self.size[1], ny);
+        let Region { center, size } = self.region;
+        let (x0, x1, fx) = place(point[0] - center[0] + 0.5 * size[0], size[0], nx);
+        let (y0, y1, fy) = place(center[1] + 0.5 * size[1] - point[1], size[1], ny);
         std::array::from_fn(|c| {
-            let row = |y: usize| {
-                (1.0 - fx) * self.texels[y * nx + x0][c] + fx * self.texels[y * nx + x1][c]
-            };
+            let value = |x: usize, y: usize| f64::from(self.radiance.value[y * nx + x][c]);
+            let row = |y: usize| (1.0 - fx) * value(x0, y) + fx * value(x1, y);
             (1.0 - fy) * row(y0) + fy * row(y1)
         })
     }
 }
 
-/// Radiance of one lamp, without derivatives.
-struct Brightness {
-    /// `throughput[n]`: what the first `n` events left.
-    throughput: Vec<[f64; CHANNELS]>,
-    sum: [f64; CHANNELS],
-}
-
-impl Brightness {
-    fn go_on(&mut self, depth: usize, weight: [f64; CHANNELS]) {
-        let left = std::array::from_fn(|c| self.throughput[depth][c] * weight[c]);
-        self.throughput.truncate(depth + 1);
-        self.throughput.push(left);
-    }
-
-    fn add(&mut self, depth: usize, weight: [f64; CHANNELS]) {
-        self.sum = std::array::from_fn(|c| self.sum[c] + self.throughput[depth][c] * weight[c]);
-    }
-}
-
-impl Visitor for Brightness {
-    fn bounce(&mut self, depth: usize, event: Event<'_>) {
-        self.go_on(depth, event.weight);
-    }
-    fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]) {
-        self.go_on(depth, weight);
-    }
-    fn connect(&mut self, depth: usize, _lamp: usize, event: Event<'_>) {
-        self.add(depth, event.weight);
-    }
-    fn arrive(&mut self, depth: usize, _lamp: usize, factor: [f64; CHANNELS]) {
-        self.add(depth, factor);
-    }
-}
+/// Most pixels of a picture.
+const MOST_PIXELS: usize = 1 << 26;
+/// Most strata a pixel is divided into.
+const MOST_STRATA: u64 = 4096;
+/// Paths between two looks at whether to stop.
+const PATHS_PER_LOOK: u64 = 4096;
+/// Side and paths per pixel of the first pilot, which sets the roulette on connections.
+const PILOT: (usize, u64) = (8, 32);
+/// Fewest paths of a picture from which an accuracy is foreseen, and how often that is tried again with more.
+const FORESEEING_PATHS: u64 = 8192;
+const MAX_PILOTS: u64 = 6;
+/// Fraction of an asked accuracy aimed at: pilots miss the rarest bright paths.
+const AIM: f64 = 0.9;
+/// Names the random streams of pictures.
+const STREAM: u64 = 0x7049_6354;
 
 impl FiberScene {
-    /// Renders one tile as the camera of `configuration` sees it, `paths` paths per texel.
+    /// The square over which means are taken.
+    pub fn sample_square(&self) -> Region {
+        Region {
+            center: [0.0; 2],
+            size: [self.options.sample_square; 2],
+        }
+    }
+
+    /// The tile that is repeated, from the origin on.
+    pub fn tile(&self) -> Region {
+        Region {
+            center: self.tile_size.map(|s| 0.5 * s),
+            size: self.tile_size,
+        }
+    }
+
+    /// Renders a picture of each configuration of the request, in its order; unbiased, and the same on any number of
+    /// threads. A configuration's noise depends on which others it shares camera paths with.
     ///
     /// # Errors
-    /// When the parameters have no meaning for the model, the picture is empty, or `watch` cancels.
-    pub fn picture(
+    /// When the picture is empty or too large, the parameters have no meaning for the model, the work is too little for a
+    /// standard error, a pixel is not finite, or `watch` cancels.
+    pub fn pictures(
         &self,
-        configuration: &Configuration,
-        parameters: &Parameters,
-        resolution: [usize; 2],
-        paths: u64,
-        seed: u64,
+        request: &PictureRequest<'_>,
         watch: &dyn Watch,
-    ) -> Result<TilePicture> {
-        let [nx, ny] = resolution;
-        if nx == 0 || ny == 0 || paths == 0 {
+    ) -> Result<Vec<Picture>> {
+        request.check()?;
+        self.check_poses(request.configurations)?;
+        let scattering = self.model.prepare(request.parameters)?;
+        let groups = groups(self, request.configurations);
+        let mut pictures = vec![None; request.configurations.len()];
+        for (g, group) in groups.iter().enumerate() {
+            let canvas = Canvas {
+                scene: self,
+                scattering: &*scattering,
+                request,
+                group,
+                parts: [g as u64, groups.len() as u64],
+            };
+            let done = canvas.finished(watch)?;
+            for (&member, picture) in group.members.iter().zip(done) {
+                pictures[member] = Some(picture);
+            }
+        }
+        Ok(pictures.into_iter().flatten().collect())
+    }
+}
+
+impl PictureRequest<'_> {
+    fn check(&self) -> Result<()> {
+        let [nx, ny] = self.resolution;
+        if nx == 0 || ny == 0 || nx.saturating_mul(ny) > MOST_PIXELS {
             return Err(Error::new(format!(
-                "picture of {nx} x {ny} texels with {paths} paths each: expected at least 1"
+                "a picture of {nx} x {ny} pixels: expected at least 1 and at most {MOST_PIXELS} in all"
             )));
         }
-        let scattering = self.model.prepare(parameters)?;
-        let lamps = self.lamps(std::iter::once(*configuration));
-        let toward_camera = configuration.camera_in_sample().vector();
-        let done = AtomicUsize::new(0);
-        let row = |y: usize| -> Option<Vec<[f64; 3]>> {
-            if watch.cancelled() {
-                return None;
+        let Region { center, size } = self.region;
+        if !(center.iter().all(|c| c.is_finite()) && size.iter().all(|s| *s > 0.0 && s.is_finite()))
+        {
+            return Err(Error::new(format!(
+                "a picture of {size:?} mm around {center:?} mm: expected a finite region with positive sides"
+            )));
+        }
+        match self.effort {
+            PictureEffort::PathsPerPixel(n) if n < 2 => {
+                Err(Error::new(format!("{n} paths per pixel are too few"))
+                    .with_hint("at least 2 are needed for a standard error"))
             }
-            let stage = self.stage(&*scattering, &lamps, &[0.0]);
-            let texel = |x: usize| {
-                let key = [
-                    seed,
-                    0x7049_6354,
-                    u64::from(configuration.id),
-                    y as u64,
-                    x as u64,
-                ];
-                let mut random = Random::keyed(&key);
-                let mut path = Brightness {
-                    throughput: vec![[1.0; CHANNELS]],
-                    sum: [0.0; CHANNELS],
-                };
-                for _ in 0..paths {
-                    let u = (x as f64 + random.uniform()) / nx as f64;
-                    let v = (y as f64 + random.uniform()) / ny as f64;
-                    let through = DVec3::new(u * self.tile_size[0], v * self.tile_size[1], 0.0);
-                    stage.follow(through, toward_camera, &mut random, &mut path);
-                }
-                path.sum.map(|s| s / paths as f64)
-            };
-            let texels = (0..nx).map(texel).collect();
-            watch.progress(
-                "picture",
-                done.fetch_add(1, Ordering::Relaxed) as u64 + 1,
-                ny as u64,
-            );
-            Some(texels)
+            PictureEffort::Accuracy(a) if !(1e-4..=1.0).contains(&a) => Err(Error::new(format!(
+                "accuracy {a} of a pixel is out of range: expected 0.0001 to 1"
+            ))),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The pictures that share camera paths.
+struct Canvas<'a> {
+    scene: &'a FiberScene,
+    scattering: &'a dyn Scattering,
+    request: &'a PictureRequest<'a>,
+    group: &'a Group,
+    /// Which of how many groups it is.
+    parts: [u64; 2],
+}
+
+/// One pass over all pixels.
+struct Pass<'a> {
+    resolution: [usize; 2],
+    /// Per pixel.
+    paths: u64,
+    /// By which parameters to differentiate.
+    rows: &'a [usize],
+    /// Of the group's members, see [`Stage::worth`].
+    worth: &'a [f64],
+    /// Selects the random streams.
+    round: u64,
+    name: &'a str,
+}
+
+/// An estimate and its standard error.
+type Number = [f32; 2];
+
+impl Canvas<'_> {
+    /// Pilots as needed, then the pass whose numbers are returned; its paths and roulette were fixed beforehand.
+    fn finished(&self, watch: &dyn Watch) -> Result<Vec<Picture>> {
+        let (side, pilot_paths) = PILOT;
+        let mut pass = Pass {
+            resolution: [side; 2],
+            paths: pilot_paths,
+            rows: &[],
+            worth: &vec![0.0; self.group.members.len()],
+            round: 0,
+            name: "pilot",
         };
-        let rows: Option<Vec<Vec<[f64; 3]>>> = (0..ny).into_par_iter().map(row).collect();
-        let texels = rows.ok_or_else(|| Error::new("interrupted"))?.concat();
-        Ok(TilePicture {
-            resolution,
-            size: self.tile_size,
-            texels,
-        })
+        let pilot = self.pass(&pass, watch)?;
+        let worth: Vec<f64> = pilot.iter().map(|p| worth_of(p[0].mean().0)).collect();
+        pass = Pass {
+            resolution: self.request.resolution,
+            worth: &worth,
+            ..pass
+        };
+        pass.paths = match self.request.effort {
+            PictureEffort::PathsPerPixel(n) => n,
+            PictureEffort::Accuracy(target) => self.needed_paths(&mut pass, AIM * target, watch)?,
+        };
+        pass.round = MAX_PILOTS;
+        pass.rows = self.request.derivatives;
+        pass.name = "picture";
+        let layers = self.pass(&pass, watch)?;
+        let of = |(&member, mut layers): (&usize, Vec<Layer>)| {
+            let derivatives = layers.split_off(1);
+            layers.pop().map(|radiance| Picture {
+                config: self.request.configurations[member].id,
+                region: self.request.region,
+                resolution: pass.resolution,
+                paths: pass.paths,
+                radiance,
+                derivatives,
+            })
+        };
+        Ok(self
+            .group
+            .members
+            .iter()
+            .zip(layers)
+            .filter_map(of)
+            .collect())
+    }
+
+    /// Paths per pixel for an accuracy, from pilots that grow until one is about an eighth of the work it foresees.
+    fn needed_paths(&self, pass: &mut Pass<'_>, target: f64, watch: &dyn Watch) -> Result<u64> {
+        let pixels = (pass.resolution[0] * pass.resolution[1]) as u64;
+        pass.paths = FORESEEING_PATHS.div_ceil(pixels).max(2);
+        let mut needed = pass.paths;
+        for round in 1..MAX_PILOTS {
+            pass.round = round;
+            let pilot = self.pass(pass, watch)?;
+            let worst = pilot
+                .iter()
+                .map(|p| p[0].relative_error())
+                .fold(0.0, f64::max);
+            needed = (pass.paths as f64 * (worst / target).powi(2)).ceil() as u64;
+            needed = needed.max(2);
+            if 9 * pass.paths >= needed {
+                break;
+            }
+            pass.paths = (needed / 8).max(2);
+        }
+        Ok(needed)
+    }
+
+    /// Renders all pixels: per member of the group, the radiance and the derivatives.
+    fn pass(&self, pass: &Pass<'_>, watch: &dyn Watch) -> Result<Vec<Vec<Layer>>> {
+        let pixels = pass.resolution[0] * pass.resolution[1];
+        let layers = 1 + pass.rows.len();
+        let numbers = self.group.members.len() * layers * CHANNELS;
+        let per_task = (2048 / pass.paths).clamp(1, 64) as usize;
+        let strata = strata((pass.paths / 2).min(MOST_STRATA));
+        let done = AtomicU64::new(0);
+        let mut all: Vec<Number> = vec![[0.0; 2]; numbers * pixels];
+        all.par_chunks_mut(numbers * per_task)
+            .enumerate()
+            .try_for_each(|(task, chunk)| {
+                let stage = self
+                    .scene
+                    .stage(self.scattering, &self.group.lamps, pass.worth);
+                for (i, out) in chunk.chunks_mut(numbers).enumerate() {
+                    self.pixel(pass, &stage, task * per_task + i, &strata, out, watch)?;
+                }
+                let n = (chunk.len() / numbers) as u64;
+                let finished = done.fetch_add(n, Ordering::Relaxed) + n;
+                let [part, parts] = self.parts;
+                let total = pixels as u64;
+                watch.progress(pass.name, part * total + finished, parts * total);
+                Ok(())
+            })?;
+        let layer = |first: usize| {
+            let take = |k: usize| {
+                let of_pixel = |p: &[Number]| std::array::from_fn(|c| p[first + c][k]);
+                all.chunks(numbers).map(of_pixel).collect()
+            };
+            Layer {
+                value: take(0),
+                standard_error: take(1),
+            }
+        };
+        let of_member = |m: usize| {
+            (0..layers)
+                .map(|l| layer((m * layers + l) * CHANNELS))
+                .collect()
+        };
+        Ok((0..self.group.members.len()).map(of_member).collect())
+    }
+
+    /// Estimates one pixel. Its strata have equal areas and two or more paths each, so that the scatter inside them tells
+    /// the standard error without bias: variance = sum of s^2 / m over the strata, over their number squared.
+    fn pixel(
+        &self,
+        pass: &Pass<'_>,
+        stage: &Stage<'_>,
+        index: usize,
+        strata: &[Rectangle],
+        out: &mut [Number],
+        watch: &dyn Watch,
+    ) -> Result<()> {
+        let all_rows = match pass.rows {
+            [] => 0,
+            _ => self.scene.model.parameters().len(),
+        };
+        let n_strata = strata.len() as u64;
+        let mut random = Random::keyed(&self.key(pass, index));
+        let mut path = Summation::new(all_rows, self.group.lamps.len());
+        let mut totals = vec![[0.0_f64; 2]; out.len()];
+        let mut inside = vec![Running::default(); out.len()];
+        let mut since_look = 0;
+        for (j, stratum) in strata.iter().enumerate() {
+            inside.fill(Running::default());
+            let paths = pass.paths / n_strata + u64::from((j as u64) < pass.paths % n_strata);
+            for _ in 0..paths {
+                since_look += 1;
+                if since_look % PATHS_PER_LOOK == 1 && watch.cancelled() {
+                    return Err(Error::new("interrupted"));
+                }
+                let through = self.point(pass.resolution, index, stratum, &mut random);
+                let view = self.scene.options.view;
+                let toward_camera = view.toward_camera(through, self.group.toward_camera);
+                path.lamps.fill(Sums::default());
+                stage.follow(through, toward_camera, &mut random, &mut path);
+                let found = path
+                    .lamps
+                    .iter()
+                    .flat_map(|sums| numbers_of(sums, pass.rows));
+                for (number, x) in inside.iter_mut().zip(found) {
+                    number.push(x);
+                }
+            }
+            for (total, number) in totals.iter_mut().zip(&inside) {
+                total[0] += number.mean();
+                total[1] += number.variance() / number.count() as f64;
+            }
+        }
+        let count = n_strata as f64;
+        for (place, [mean, variance]) in out.iter_mut().zip(totals) {
+            if !(mean.is_finite() && variance.is_finite()) {
+                return Err(self.not_finite(index, [mean / count, variance]));
+            }
+            *place = [(mean / count) as f32, (variance.sqrt() / count) as f32];
+        }
+        Ok(())
+    }
+
+    fn key(&self, pass: &Pass<'_>, pixel: usize) -> [u64; 5] {
+        let first = self.request.configurations[self.group.members[0]].id;
+        [
+            self.request.seed,
+            STREAM,
+            pass.round,
+            u64::from(first),
+            pixel as u64,
+        ]
+    }
+
+    /// A uniform point of a stratum of a pixel, on the sample plane.
+    fn point(
+        &self,
+        [nx, ny]: [usize; 2],
+        index: usize,
+        stratum: &Rectangle,
+        random: &mut Random,
+    ) -> DVec3 {
+        let [u, v] = stratum.map(|[low, length]| low + length * random.uniform());
+        let Region { center, size } = self.request.region;
+        let x = ((index % nx) as f64 + u) / nx as f64 - 0.5;
+        let y = 0.5 - ((index / nx) as f64 + v) / ny as f64;
+        DVec3::new(center[0] + x * size[0], center[1] + y * size[1], 0.0)
+    }
+
+    fn not_finite(&self, pixel: usize, [mean, variance]: [f64; 2]) -> Error {
+        let ids = self
+            .group
+            .members
+            .iter()
+            .map(|&m| self.request.configurations[m].id);
+        Error::new(format!(
+            "pixel {pixel} of configurations {:?} is not finite (mean {mean}, variance {variance}) at {}",
+            ids.collect::<Vec<_>>(),
+            self.request.parameters.to_json()
+        ))
+        .with_hint("this is a fault of the model at these parameters; please report it with the parameters")
+    }
+}
+
+/// A path's radiance and the derivatives by `rows`, channel by channel.
+fn numbers_of<'a>(sums: &'a Sums, rows: &'a [usize]) -> impl Iterator<Item = f64> + 'a {
+    let derivatives = rows.iter().flat_map(|&row| sums.derivative[row]);
+    sums.value.into_iter().chain(derivatives)
+}
+
+/// Lower end and length along x and along y, of a unit square.
+type Rectangle = [[f64; 2]; 2];
+
+/// Divides the unit square into `n` rectangles of equal area, nearly squares.
+fn strata(n: u64) -> Vec<Rectangle> {
+    let n = n.max(1);
+    let bands = (n as f64).sqrt().round().max(1.0) as u64;
+    let mut low = 0;
+    let mut strata = Vec::new();
+    for band in 0..bands {
+        let count = n / bands + u64::from(band < n % bands);
+        let vertical = [low as f64 / n as f64, count as f64 / n as f64];
+        let width = 1.0 / count as f64;
+        strata.extend((0..count).map(|k| [[k as f64 * width, width], vertical]));
+        low += count;
+    }
+    strata
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strata_have_equal_areas_and_cover_the_square_once() {
+        for n in [1, 2, 3, 7, 16, 50, 97] {
+            let all = strata(n);
+            assert_eq!(all.len() as u64, n);
+            for [[_, w], [_, h]] in &all {
+                assert!((w * h * n as f64 - 1.0).abs() < 1e-12, "{n}: {w} x {h}");
+            }
+            // Every point of a grid that avoids the edges lies in exactly one of them.
+            for k in 0..400 {
+                let point = [
+                    (k % 20) as f64 / 20.0 + 0.0213,
+                    (k / 20) as f64 / 20.0 + 0.0171,
+                ];
+                let within = |r: &&Rectangle| {
+                    (0..2).all(|a| (r[a][0]..r[a][0] + r[a][1]).contains(&point[a]))
+                };
+                assert_eq!(all.iter().filter(within).count(), 1, "{n}: {point:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_is_read_between_its_pixels_and_beyond_its_edges() {
+        let value: Vec<[f32; 3]> = [1.0, 2.0, 3.0, 4.0].map(|v: f32| [v, 10.0 * v, 0.0]).into();
+        let picture = Picture {
+            config: 1,
+            region: Region {
+                center: [1.0, 2.0],
+                size: [2.0, 4.0],
+            },
+            resolution: [2, 2],
+            paths: 2,
+            radiance: Layer {
+                standard_error: vec![[0.5; 3]; 4],
+                value,
+            },
+            derivatives: Vec::new(),
+        };
+        let near = |p: [f64; 2], expected: f64| {
+            let [r, g, _] = picture.at(p);
+            assert!(
+                (r - expected).abs() < 1e-6 && (g - 10.0 * expected).abs() < 1e-5,
+                "{p:?}: {r}"
+            );
+        };
+        // The first row is the upper one.
+        near([0.5, 3.0], 1.0);
+        near([1.5, 3.0], 2.0);
+        near([0.5, 1.0], 3.0);
+        near([1.0, 3.0], 1.5);
+        near([1.5, 2.0], 3.0);
+        // Across the seam, and a whole period away.
+        near([0.0, 1.0], 3.5);
+        near([0.5 - 2.0, 3.0 + 4.0], 1.0);
+        let (mean, se) = picture.radiance.mean();
+        assert!((mean[0] - 2.5).abs() < 1e-12 && (se[0] - 0.25).abs() < 1e-12);
     }
 }
