@@ -199,7 +199,7 @@ impl<'a> Pictures<'a> {
             .collect();
         let (size, all) = contact_sheet::arrange(self.resolution(), &shown, [1.0; 3])?;
         let mut notes = self.notes();
-        let exposures: Vec<String> = self.exposures.iter().map(f64::to_string).collect();
+        let exposures: Vec<String> = self.exposures.iter().map(|e| format!("{e:.6e}")).collect();
         notes.push((
             "quantity",
             "normalized radiance times the exposure, sRGB".to_owned(),
@@ -218,7 +218,10 @@ impl<'a> Pictures<'a> {
             format!("{}; {}", derivative.quantity(), shown_channels(derivative)),
         ));
         notes.push(("unit", derivative.unit().to_owned()));
-        notes.push(("scale", format!("blue -{scale}, white 0, red {scale}")));
+        notes.push((
+            "scale",
+            format!("blue -{scale:.6e}, white 0, red {scale:.6e}"),
+        ));
         diverging::png(size, &all, scale, &notes)
     }
 
