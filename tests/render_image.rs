@@ -1,266 +1,16 @@
-//! `goniofit render image`: pictures agree with the means, say how well they are known, and arrive whole or not at all.
+//! `goniofit render image` writes what it prints, whole or not at all, and refuses bad input before any work.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use assert_cmd::Command;
 use exr::prelude::{ReadChannels, ReadLayers};
-use goniofit::base::{Unwatched, Watch};
-use goniofit::fabric;
-use goniofit::math::statistics::sidak_level;
-use goniofit::render::{
-    Effort, FiberScene, FiberSceneOptions, Layer, Picture, PictureEffort, PictureRequest, Region,
-    Request, Scene, View,
-};
-use goniofit::scatter::{self, Parameters};
-use goniofit::session::Configuration;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
-use statrs::distribution::{ContinuousCDF, Normal};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
 const PLAN: &str = "rig_configs/plans/khungurn16.toml";
 const FABRIC: &str = "fabrics/bench_twill22.toml";
-
-fn seed(named: u64) -> u64 {
-    std::env::var("SEED").map_or(named, |s| s.parse().unwrap())
-}
-
-// ---- the numbers ---------------------------------------------------------------------------------------------------
-
-fn scene(view: View) -> FiberScene {
-    let options = FiberSceneOptions {
-        sample_square: 2.0,
-        view,
-        ..FiberSceneOptions::default()
-    };
-    let tile = fabric::load(Path::new(FABRIC)).unwrap().tile;
-    FiberScene::new(&tile, scatter::model("khungurn").unwrap(), options).unwrap()
-}
-
-/// Wide lobes and little color: no rare bright paths, so that z-scores are normal at these path counts.
-fn parameters() -> Parameters {
-    let values = [0.1, 0.2, 0.05, 0.5, 0.4, 0.3, 0.15, 0.4, 0.5];
-    Parameters::defaults(scatter::model("khungurn").unwrap()).with_values(values.into())
-}
-
-/// The first two share their camera paths.
-fn poses() -> [Configuration; 3] {
-    [
-        Configuration::from_degrees(1, [32.0, 180.0], [32.0, 0.0], 0.0).unwrap(),
-        Configuration::from_degrees(7, [50.0, 90.0], [32.0, 0.0], 0.0).unwrap(),
-        Configuration::from_degrees(4, [60.0, 0.0], [70.0, 0.0], 30.0).unwrap(),
-    ]
-}
-
-fn pictures(scene: &FiberScene, seed: u64, side: usize, paths: u64) -> Vec<Picture> {
-    let request = PictureRequest {
-        configurations: &poses(),
-        parameters: &parameters(),
-        region: scene.sample_square(),
-        resolution: [side; 2],
-        effort: PictureEffort::PathsPerPixel(paths),
-        derivatives: &[4, 3, 2, 1, 0],
-        seed,
-    };
-    scene.pictures(&request, &Unwatched).unwrap()
-}
-
-#[test]
-fn the_mean_of_a_picture_is_the_mean_and_so_are_its_derivatives() {
-    // 2 views x 3 poses x 3 channels x (1 mean + 5 derivatives), family-wise 1e-3. Standard errors of the means are near
-    // 1 %, so a fault of 6 % in one of them would be seen, or a derivative in another's place. 45 paths per pixel are odd on
-    // purpose: strata of two and of three.
-    let cells = 108;
-    let bound = Normal::new(0.0, 1.0)
-        .unwrap()
-        .inverse_cdf(1.0 - 0.5 * sidak_level(1e-3, cells));
-    let (mut seen, mut wrong_mean, mut wrong_row) = (0, 0.0_f64, 0.0_f64);
-    for (k, view) in [View::Orthographic, View::Pinhole { distance: 4.0 }]
-        .into_iter()
-        .enumerate()
-    {
-        let scene = scene(view);
-        let request = Request {
-            configurations: &poses(),
-            parameters: &parameters(),
-            effort: Effort::Paths(24_000),
-            seed: seed(1) + k as u64,
-            stream: 0,
-        };
-        let means = scene.estimate(&request, &Unwatched).unwrap();
-        let pictures = pictures(&scene, seed(1) + k as u64, 16, 45);
-        for (estimate, picture) in means.configurations.iter().zip(&pictures) {
-            assert_eq!(estimate.config, picture.config);
-            let scores = |layer: &Layer, mean: [f64; 3], se: [f64; 3], factor: f64| {
-                let (value, error) = layer.mean();
-                [0, 1, 2].map(|c| (factor * value[c] - mean[c]) / se[c].hypot(factor * error[c]))
-            };
-            let mut check = |what: &str, layer: &Layer, mean: [f64; 3], se: [f64; 3]| {
-                for (c, z) in scores(layer, mean, se, 1.0).into_iter().enumerate() {
-                    seen += 1;
-                    assert!(
-                        z.abs() < bound,
-                        "{view:?}, pose {}, {what} {c}: z = {z}; {:?} against {mean:?} +- {se:?}",
-                        estimate.config,
-                        layer.mean()
-                    );
-                }
-            };
-            check(
-                "mean",
-                &picture.radiance,
-                estimate.mean,
-                estimate.standard_error,
-            );
-            for (layer, row) in picture.derivatives.iter().zip((0..5).rev()) {
-                let (d, se) = (estimate.derivative[row], estimate.derivative_se[row]);
-                check(&format!("row {row}"), layer, d, se);
-            }
-            // Negative controls.
-            let z = scores(
-                &picture.radiance,
-                estimate.mean,
-                estimate.standard_error,
-                1.08,
-            );
-            wrong_mean = z.iter().fold(wrong_mean, |a, b| a.max(b.abs()));
-            let (d, se) = (estimate.derivative[0], estimate.derivative_se[0]);
-            let z = scores(&picture.derivatives[0], d, se, 1.0);
-            wrong_row = z.iter().fold(wrong_row, |a, b| a.max(b.abs()));
-        }
-    }
-    assert_eq!(seen, cells);
-    assert!(
-        wrong_mean > bound,
-        "8 % too bright was not seen: {wrong_mean}"
-    );
-    assert!(
-        wrong_row > bound,
-        "a wrong derivative was not seen: {wrong_row}"
-    );
-}
-
-#[test]
-fn stated_standard_errors_explain_how_pixels_differ_between_seeds() {
-    // Mean squared z over 576 pixels of one channel: standard error near 0.1 (chi-square 0.06, heavy tails the rest), so
-    // errors stated 1.4 times too small or too large would be seen.
-    let scene = scene(View::Orthographic);
-    let [a, b] = [seed(11), seed(12)].map(|s| pictures(&scene, s, 24, 200));
-    for (a, b) in a.iter().zip(&b) {
-        for (what, a, b) in [
-            ("radiance", &a.radiance, &b.radiance),
-            ("derivative", &a.derivatives[3], &b.derivatives[3]),
-        ] {
-            let ratio = |factor: f64| {
-                let pixels = a.value.iter().zip(&b.value);
-                let errors = a.standard_error.iter().zip(&b.standard_error);
-                let z2 = pixels.zip(errors).map(|((x, y), (s, t))| {
-                    let error = factor * f64::from(s[1]).hypot(f64::from(t[1]));
-                    ((f64::from(x[1]) - f64::from(y[1])) / error).powi(2)
-                });
-                z2.sum::<f64>() / a.value.len() as f64
-            };
-            let fits = |r: f64| (0.7..1.5).contains(&r);
-            assert!(fits(ratio(1.0)), "{what}: mean squared z {}", ratio(1.0));
-            assert!(
-                !fits(ratio(0.7)) && !fits(ratio(1.4)),
-                "{what}: {}",
-                ratio(1.0)
-            );
-        }
-    }
-}
-
-#[test]
-fn an_asked_accuracy_of_pixels_is_reached() {
-    let scene = scene(View::Orthographic);
-    let request = PictureRequest {
-        configurations: &poses()[2..],
-        parameters: &parameters(),
-        region: scene.tile(),
-        resolution: [8, 8],
-        effort: PictureEffort::Accuracy(0.1),
-        derivatives: &[],
-        seed: seed(5),
-    };
-    let picture = &scene.pictures(&request, &Unwatched).unwrap()[0];
-    let (mean, _) = picture.radiance.mean();
-    let errors = picture.radiance.standard_error.iter().flatten();
-    let rms = (errors.map(|e| f64::from(*e).powi(2)).sum::<f64>() / 192.0).sqrt();
-    let relative = rms / (mean.iter().sum::<f64>() / 3.0);
-    assert!(
-        (0.06..0.11).contains(&relative),
-        "{relative} with {} paths",
-        picture.paths
-    );
-}
-
-#[test]
-fn what_cannot_be_pictured_is_refused_by_the_library() {
-    struct Impatient;
-    impl Watch for Impatient {
-        fn progress(&self, _: &str, _: u64, _: u64) {}
-        fn cancelled(&self) -> bool {
-            true
-        }
-    }
-    let scene = scene(View::Pinhole { distance: 0.2 });
-    let parameters = parameters();
-    let good = PictureRequest {
-        configurations: &poses()[..1],
-        parameters: &parameters,
-        region: scene.tile(),
-        resolution: [2, 2],
-        effort: PictureEffort::PathsPerPixel(2),
-        derivatives: &[],
-        seed: 1,
-    };
-    let error = |r: &PictureRequest<'_>, watch: &dyn Watch| scene.pictures(r, watch).unwrap_err();
-    assert!(scene.pictures(&good, &Unwatched).is_ok());
-    assert!(error(&good, &Impatient).report().contains("interrupted"));
-    let grazing = [Configuration::from_degrees(3, [10.0, 0.0], [89.0, 0.0], 0.0).unwrap()];
-    let inside = PictureRequest {
-        configurations: &grazing,
-        ..good.clone()
-    };
-    assert!(error(&inside, &Unwatched).report().contains("in the cloth"));
-    for resolution in [[0, 3], [3, 0], [usize::MAX, 2], [1 << 20, 1 << 20]] {
-        let request = PictureRequest {
-            resolution,
-            ..good.clone()
-        };
-        assert!(
-            error(&request, &Unwatched)
-                .report()
-                .contains("expected at least 1")
-        );
-    }
-    for size in [[0.0, 1.0], [1.0, f64::NAN], [f64::INFINITY, 1.0]] {
-        let center = [0.0; 2];
-        let request = PictureRequest {
-            region: Region { center, size },
-            ..good.clone()
-        };
-        assert!(
-            error(&request, &Unwatched)
-                .report()
-                .contains("finite region")
-        );
-    }
-    for effort in [
-        PictureEffort::PathsPerPixel(1),
-        PictureEffort::Accuracy(0.0),
-    ] {
-        let request = PictureRequest {
-            effort,
-            ..good.clone()
-        };
-        scene.pictures(&request, &Unwatched).unwrap_err();
-    }
-}
-
-// ---- the command ---------------------------------------------------------------------------------------------------
 
 fn goniofit(arguments: &[&str]) -> Command {
     let mut command = Command::cargo_bin("goniofit").unwrap();
@@ -285,14 +35,15 @@ fn image(fabric: &str, stem: &Path, extra: &[&str]) -> Command {
     goniofit(&[&base, extra].concat())
 }
 
-/// All channels of a picture, and its text attributes.
-fn read_exr(
-    path: &str,
-) -> (
-    [usize; 2],
-    BTreeMap<String, Vec<f32>>,
-    BTreeMap<String, String>,
-) {
+/// What an EXR file holds: columns and rows, channels, text attributes.
+struct Exr {
+    size: [usize; 2],
+    channels: BTreeMap<String, Vec<f32>>,
+    texts: BTreeMap<String, String>,
+}
+
+fn read_exr(path: &Value) -> Exr {
+    let path = path.as_str().unwrap();
     let image = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
@@ -314,11 +65,11 @@ fn read_exr(
             }
             _ => None,
         });
-    (
-        [layer.size.0, layer.size.1],
-        channels.collect(),
-        texts.collect(),
-    )
+    Exr {
+        size: [layer.size.0, layer.size.1],
+        channels: channels.collect(),
+        texts: texts.collect(),
+    }
 }
 
 fn mean(values: &[f32]) -> f64 {
@@ -350,16 +101,18 @@ fn files_hold_the_printed_numbers_on_any_number_of_threads() {
     let row = &summary["configs"][0];
     assert_eq!(row["config"], 5);
     assert_eq!(row["paths_per_pixel"], 20);
-    let path = |v: &Value| v.as_str().unwrap().to_owned();
-
-    let (size, channels, texts) = read_exr(&path(&row["exr"]));
-    assert_eq!(size, [12, 7]);
+    let radiance = read_exr(&row["exr"]);
+    let channels = &radiance.channels;
+    assert_eq!(radiance.size, [12, 7]);
     assert_eq!(
         channels.keys().collect::<Vec<_>>(),
         ["B", "G", "R", "se.B", "se.G", "se.R"]
     );
-    assert_eq!(texts["config"], "5");
-    assert_eq!(texts["region_mm"], "x -5 to 5, y -5 to 5, sample frame");
+    assert_eq!(radiance.texts["config"], "5");
+    assert_eq!(
+        radiance.texts["region_mm"],
+        "x -5 to 5, y -5 to 5, sample frame"
+    );
     for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
         let se = &channels[&format!("se.{name}")];
         let square: f64 = se.iter().map(|e| f64::from(*e).powi(2)).sum();
@@ -367,14 +120,14 @@ fn files_hold_the_printed_numbers_on_any_number_of_threads() {
         assert!((mean(&channels[name]) / stated - 1.0).abs() < 1e-9);
         assert!((square.sqrt() / 84.0 / error - 1.0).abs() < 1e-9);
     }
-    let (_, c_tt, texts) = read_exr(&path(&row["derivatives"]["c_tt"]["exr"]));
-    assert_eq!(c_tt.len(), 6);
-    assert_eq!(texts["unit"], "1");
+    let c_tt = read_exr(&row["derivatives"]["c_tt"]["exr"]);
+    assert_eq!(c_tt.channels.len(), 6);
+    assert_eq!(c_tt.texts["unit"], "1");
     let stated = row["derivatives"]["c_tt"]["mean"][2].as_f64().unwrap();
-    assert!((mean(&c_tt["B"]) / stated - 1.0).abs() < 1e-9);
-    let (_, beta, texts) = read_exr(&path(&row["derivatives"]["beta_tt.g"]["exr"]));
-    assert_eq!(beta.keys().collect::<Vec<_>>(), ["G", "se.G"]);
-    assert_eq!(texts["unit"], "1/rad");
+    assert!((mean(&c_tt.channels["B"]) / stated - 1.0).abs() < 1e-9);
+    let beta = read_exr(&row["derivatives"]["beta_tt.g"]["exr"]);
+    assert_eq!(beta.channels.keys().collect::<Vec<_>>(), ["G", "se.G"]);
+    assert_eq!(beta.texts["unit"], "1/rad");
     assert_eq!(
         row["derivatives"]["beta_tt.g"]["mean"]
             .as_array()
@@ -383,7 +136,7 @@ fn files_hold_the_printed_numbers_on_any_number_of_threads() {
         1
     );
 
-    let read = |v: &Value| std::fs::read(path(v)).unwrap();
+    let read = |v: &Value| std::fs::read(v.as_str().unwrap()).unwrap();
     for place in [
         "/png",
         "/derivatives/c_tt/png",
@@ -394,7 +147,7 @@ fn files_hold_the_printed_numbers_on_any_number_of_threads() {
         let picture = image::load_from_memory(&one).unwrap();
         assert_eq!([picture.width(), picture.height()], [12, 7]);
     }
-    assert_eq!(channels, read_exr(&path(&other["configs"][0]["exr"])).1);
+    assert_eq!(*channels, read_exr(&other["configs"][0]["exr"]).channels);
     let png = read(&summary["png"]);
     assert!(png.windows(8).any(|w| w == b"exposure"));
     assert!(summary["derivatives"]["c_tt"]["scale"].as_f64().unwrap() > 0.0);
@@ -436,7 +189,7 @@ fn all_configurations_make_one_sheet_and_a_file_each() {
     let configs = summary["configs"].as_array().unwrap();
     assert_eq!(configs.len(), 16);
     for row in configs {
-        assert_eq!(read_exr(row["exr"].as_str().unwrap()).0, [8, 8]);
+        assert_eq!(read_exr(&row["exr"]).size, [8, 8]);
         assert!(row["exposure"].as_f64().unwrap() > 0.0);
     }
     let mut names: Vec<_> = std::fs::read_dir(folder.path())
@@ -479,7 +232,7 @@ fn pictures_are_upright_and_rectified() {
             &folder.path().join(name),
             &[&base, extra].concat(),
         ));
-        read_exr(summary["configs"][0]["exr"].as_str().unwrap()).1["G"].clone()
+        read_exr(&summary["configs"][0]["exr"]).channels["G"].clone()
     };
     // Rows are 0.125 mm high, the topmost first: the fiber covers 0.7 to 0.8, in rows 1 and 2, from every direction along x.
     for (name, pose) in [
@@ -574,7 +327,7 @@ fn poses_and_surroundings_can_be_given_instead_of_files() {
     let fabric = one_fiber(folder.path());
     let extra = ["--tile", "--pose", pose, "--size", "16", "--plate", "0.5"];
     let summary = json(&mut image(&fabric, &folder.path().join("plate"), &extra));
-    let green = &read_exr(summary["configs"][0]["exr"].as_str().unwrap()).1["G"];
+    let green = &read_exr(&summary["configs"][0]["exr"]).channels["G"];
     let bottom = mean(&green[15 * 16..]);
     assert!(
         (bottom / (0.5 * 40_f64.to_radians().cos()) - 1.0).abs() < 0.02,

@@ -34,7 +34,7 @@ pub(crate) struct Arguments {
 #[derive(clap::Subcommand)]
 enum Command {
     Means(MeansArguments),
-    Image(Box<image::ImageArguments>),
+    Image(image::ImageArguments),
 }
 
 /// Mean normalized radiance of the sample square in every configuration, with standard errors
