@@ -5,6 +5,7 @@
 
 mod estimate;
 mod geometry;
+mod image;
 #[cfg(test)]
 mod laws;
 mod light;
