@@ -36,7 +36,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("rawloader", &["measure"]),
     ("exif", &["measure"]),
     ("tiff", &["measure"]),
-    ("png", &["measure"]),
+    ("png", &["measure", "report"]),
     ("exr", &["measure", "report"]),
     ("obvhs", &["render"]),
     ("clap", &["cli"]),

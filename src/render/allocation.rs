@@ -84,10 +84,12 @@ pub(super) fn planned_paths(effort: &Effort, groups: &[Group]) -> Result<Option<
 
 /// Roulette thresholds from a pilot's means.
 pub(super) fn worth(pilot: &[Moments]) -> Vec<f64> {
-    pilot
-        .iter()
-        .map(|m| WORTH * (m.mean.value.iter().sum::<f64>() / CHANNELS as f64).max(TAU))
-        .collect()
+    pilot.iter().map(|m| worth_of(m.mean.value)).collect()
+}
+
+/// The roulette threshold of a lamp that makes this mean.
+pub(super) fn worth_of(mean: [f64; CHANNELS]) -> f64 {
+    WORTH * (mean.iter().sum::<f64>() / CHANNELS as f64).max(TAU)
 }
 
 /// What a configuration's errors add to the objective: weight times the variances of its means.

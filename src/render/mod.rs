@@ -7,6 +7,7 @@ mod allocation;
 mod estimate;
 mod geometry;
 mod guide;
+mod image;
 #[cfg(test)]
 mod laws;
 mod light;
@@ -16,7 +17,7 @@ mod scene;
 mod summation;
 
 pub use light::LightShape;
-pub use picture::TilePicture;
+pub use picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
 pub use scene::{FiberScene, FiberSceneOptions, Plate, View};
 
 use crate::base::{Result, Watch};

@@ -5,7 +5,7 @@ use super::guide::{Guide, StateMap};
 use super::light::{Lamp, LightShape};
 use super::path::Stage;
 use super::{Estimates, Request, Scene, estimate};
-use crate::base::{Result, Watch};
+use crate::base::{Error, Result, Watch};
 use crate::fabric::FiberTile;
 use crate::math::Random;
 use crate::scatter::Model;
@@ -58,6 +58,33 @@ pub struct FiberSceneOptions {
     pub view: View,
 }
 
+impl FiberSceneOptions {
+    /// Refuses sizes and distances that are not positive, and albedos outside 0..=1.
+    fn check(&self) -> Result<()> {
+        let mut lengths = vec![
+            ("the light's side", self.light.side),
+            ("the light's distance", self.light.distance),
+            ("the sample square", self.sample_square),
+        ];
+        if let View::Pinhole { distance } = self.view {
+            lengths.push(("the camera's distance", distance));
+        }
+        for (what, length) in lengths {
+            if !(length > 0.0 && length.is_finite()) {
+                return Err(Error::new(format!(
+                    "{what} is {length} mm, expected a positive number"
+                )));
+            }
+        }
+        match self.plate {
+            Plate::Diffuse(albedo) if !albedo.iter().all(|a| (0.0..=1.0).contains(a)) => Err(
+                Error::new(format!("the plate's albedo is {albedo:?}, expected 0 to 1")),
+            ),
+            _ => Ok(()),
+        }
+    }
+}
+
 impl Default for FiberSceneOptions {
     /// The light of Khungurn 2015, its 1 cm crop and its black turntable, seen from afar.
     fn default() -> Self {
@@ -92,12 +119,13 @@ impl FiberScene {
     /// Builds the acceleration structure of `tile`.
     ///
     /// # Errors
-    /// When the tile has no segments, its size has no meaning, or a segment is not finite.
+    /// When the tile has no segments, its size has no meaning, a segment is not finite, or an option is out of range.
     pub fn new(
         tile: &FiberTile,
         model: &'static dyn Model,
         options: FiberSceneOptions,
     ) -> Result<Self> {
+        options.check()?;
         let geometry = Geometry::new(tile)?;
         Ok(Self {
             map: StateMap::new(&geometry, tile.size),
@@ -112,6 +140,26 @@ impl FiberScene {
         configurations
             .map(|c| Lamp::new(self.options.light, c.light_in_sample()))
             .collect()
+    }
+
+    /// Refuses poses whose camera stands inside the cloth.
+    pub(super) fn check_poses(&self, configurations: &[Configuration]) -> Result<()> {
+        let View::Pinhole { distance } = self.options.view else {
+            return Ok(());
+        };
+        let top = self.geometry.z_range()[1];
+        for c in configurations {
+            let height = distance * c.camera.theta.cos();
+            if height <= top {
+                return Err(Error::new(format!(
+                    "configuration {}: the camera is {height:.3} mm above the sample plane, in the cloth, which reaches \
+                     {top:.3} mm",
+                    c.id
+                ))
+                .with_hint("a larger camera distance"));
+            }
+        }
+        Ok(())
     }
 
     /// A uniform point of the sample square on the plane z = 0.
@@ -149,6 +197,7 @@ impl Scene for FiberScene {
     }
 
     fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates> {
+        self.check_poses(request.configurations)?;
         estimate::estimate(self, request, watch)
     }
 }
