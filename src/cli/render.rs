@@ -3,7 +3,9 @@
 use super::output::data;
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
-use crate::render::{Effort, Estimates, FiberScene, FiberSceneOptions, LightShape, Request, Scene};
+use crate::render::{
+    Effort, Estimates, FiberScene, FiberSceneOptions, Integrator, LightShape, Request, Scene,
+};
 use crate::rig::{LightSource, RigDescription};
 use crate::scatter::{self, Parameters};
 use crate::session::{Plan, SessionFolder, files};
@@ -56,6 +58,9 @@ struct MeansArguments {
     /// Weighted rms standard error of all numbers to reach, e.g. 1% or 0.01 [default: 5%]
     #[arg(long, value_name = "A", value_parser = inputs::fraction)]
     accuracy: Option<f64>,
+    /// How paths are followed: fast, or basic (slow, plain, to check the fast one)
+    #[arg(long, default_value = "fast", hide_default_value = true)]
+    integrator: Integrators,
     /// Selects the random streams
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -65,6 +70,12 @@ struct MeansArguments {
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Integrators {
+    Fast,
+    Basic,
 }
 
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
@@ -132,6 +143,14 @@ fn means(a: &MeansArguments) -> Result<Outcome> {
     let terminal = Terminal::new()?;
     let options = a.rig.as_deref().map(RigDescription::read).transpose()?;
     let options = options.map_or(Ok(FiberSceneOptions::default()), |rig| surroundings(&rig))?;
+    let integrator = match a.integrator {
+        Integrators::Fast => Integrator::Fast,
+        Integrators::Basic => Integrator::Basic,
+    };
+    let options = FiberSceneOptions {
+        integrator,
+        ..options
+    };
     let scene = fiber_scene(&a.fabric, model, options)?;
     let effort = match (a.paths, a.accuracy) {
         (Some(n), _) => Effort::Paths(n),
