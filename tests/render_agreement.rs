@@ -3,7 +3,7 @@
 //!
 //! The light is wide, so that paths that carry light are not rare and batch means give honest errors. Family-wise level 1e-3 in each
 //! test (Sidak); what a test can see is its bound (4.5 to 5) times the standard errors of both sides.
-#![allow(clippy::unwrap_used, missing_docs)]
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 #[path = "common/render_scenes.rs"]
 mod render_scenes;
@@ -41,7 +41,7 @@ fn compare(what: &str, subject: &Subject<'_>, poses: &[Configuration], paths: u6
         .map(|i| subject.render(i, poses, Effort::Paths(paths), seed(11)));
     let mut scores = Scores::default();
     scores.compare(what, &fast, &basic);
-    eprintln!("{}", scores.sentence);
+    println!("{}", scores.sentence);
     scores
 }
 
@@ -143,7 +143,7 @@ fn small_faults_are_seen() {
     for (what, wrong) in wrong {
         let mut scores = Scores::default();
         scores.compare(what, &right, &ask(&wrong, Integrator::Basic));
-        eprintln!("{}", scores.sentence);
+        println!("{}", scores.sentence);
         scores.assert_differ();
     }
 }

@@ -90,6 +90,10 @@ impl Request<'_> {
 }
 
 /// The estimate for one configuration.
+///
+/// Mean +- 1.96 standard errors is a 95 % interval: there are so many batches that Student's t is the normal distribution.
+/// Where light comes by rare bright paths, few paths understate the error; `tests/render_coverage.rs` shows from where
+/// on it can be trusted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// The configuration's id.
