@@ -1,8 +1,9 @@
 //! Elapsed time of the same render on one thread and on two, with the numbers compared.
 //!
 //! `cargo bench --bench thread_scaling [-- --basic]` on `fabrics/bench_twill22.toml` with Gabardine's fibers, five rounds. Prints the
-//! ratio of each round and their median. Needs two idle cores: other work on the machine shows as a ratio that is too low,
-//! and as processor time per elapsed second below the number of threads.
+//! ratio of each round and their median. Needs two idle cores: other work on the machine shows as a ratio that is too low and as
+//! processor time per elapsed second below the number of threads. Processor time that grows from one thread to two
+//! is what the threads cost one another; that ratio survives other work better.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use goniofit::base::Unwatched;
@@ -43,18 +44,19 @@ fn main() {
         pool.install(|| scene.estimate(&request, &Unwatched).unwrap())
     };
     println!("{:?}", options.integrator);
-    println!("1 thread s   2 threads s   speed-up   CPU s per s on 2   numbers");
+    println!("1 thread s   2 threads s   speed-up   CPU s per s on 2   CPU s 2:1   numbers");
     let mut ratios = Vec::new();
     for _ in 0..5 {
         let (one, two) = (on(1), on(2));
         let same = one.configurations == two.configurations;
         ratios.push(one.wall_s / two.wall_s);
         println!(
-            "{:10.2} {:13.2} {:10.2} {:18.2}   {}",
+            "{:10.2} {:13.2} {:10.2} {:18.2} {:11.3}   {}",
             one.wall_s,
             two.wall_s,
             one.wall_s / two.wall_s,
             two.cpu_s / two.wall_s,
+            two.cpu_s / one.cpu_s,
             if same { "identical" } else { "DIFFERENT" }
         );
     }

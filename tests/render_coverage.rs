@@ -8,8 +8,9 @@ mod render_scenes;
 use goniofit::base::Unwatched;
 use goniofit::math::statistics::{Running, sidak_level};
 use goniofit::render::{Effort, FiberScene, FiberSceneOptions, Request, Scene};
-use goniofit::session::Plan;
-use render_scenes::{GABARDINE, khungurn, parameters, seed};
+use goniofit::scatter::Parameters;
+use goniofit::session::protocols::khungurn16;
+use render_scenes::{GABARDINE, SOFT, WIDE, felt, khungurn, parameters, seed};
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::path::Path;
 
@@ -32,36 +33,34 @@ fn three_hundred_runs_allow_89_to_99_percent() {
     );
 }
 
-/// 300 runs at 2 % over Khungurn's 16 configurations of the bench twill with Gabardine's fibers; `RENDER_COVERAGE_RUNS`
-/// chooses another number of runs, and the limits follow. The truth is a run at a seventh of the error, whose own error is added
-/// to each interval (it is common to all runs: at most 1 % of the width). Sees, for one number, intervals that hold 85 instead of
-/// 95 %; the control, all intervals 0.8 as wide, must fail.
-#[test]
-#[ignore = "slow: 90 min"]
-fn stated_intervals_hold_the_truth() {
-    let runs = std::env::var("RENDER_COVERAGE_RUNS").map_or(300, |n| n.parse().unwrap());
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let plan = Plan::read(&root.join("rig_configs/plans/khungurn16.toml")).unwrap();
-    let fabric = goniofit::fabric::load(&root.join("fabrics/bench_twill22.toml")).unwrap();
-    let scene = FiberScene::new(&fabric.tile, khungurn(), FiberSceneOptions::default()).unwrap();
-    let parameters = parameters(GABARDINE);
+/// A setting of the slow test from the environment.
+fn setting(name: &str, otherwise: f64) -> f64 {
+    std::env::var(name).map_or(otherwise, |text| text.parse().unwrap())
+}
+
+/// How often the intervals of `runs` runs at `accuracy` hold each of the plan's numbers, printed and judged.
+///
+/// The truth is a run at a seventh of the error, whose own error is added to each interval (it is common to all runs: 1 % of
+/// the width). The control is that the same intervals 0.8 as wide fail.
+fn intervals_hold(scene: &FiberScene, parameters: &Parameters, accuracy: f64, runs: u64) {
+    let plan = khungurn16().unwrap();
     let ask = |stream: u64, accuracy: f64| {
         let request = Request {
             configurations: &plan.configurations,
-            parameters: &parameters,
+            parameters,
             effort: Effort::Accuracy(accuracy),
             seed: seed(31),
             stream,
         };
         scene.estimate(&request, &Unwatched).unwrap()
     };
-    let truth = ask(0, 0.02 / 7.0).configurations;
+    let truth = ask(0, accuracy / 7.0).configurations;
     let n = 3 * truth.len();
     let (mut held, mut shrunk) = (vec![0_u64; n], vec![0_u64; n]);
     let mut squares = vec![Running::default(); n];
     let (mut errors, mut cpu_s) = (Running::default(), Running::default());
     for run in 1..=runs {
-        let estimates = ask(run, 0.02);
+        let estimates = ask(run, accuracy);
         errors.push(estimates.weighted_rms_error());
         cpu_s.push(estimates.cpu_s);
         for (i, e) in estimates.configurations.iter().enumerate() {
@@ -111,4 +110,33 @@ fn stated_intervals_hold_the_truth() {
         outside(&shrunk) > 0,
         "{runs} runs cannot tell intervals 0.8 as wide"
     );
+}
+
+/// A small cloth of wide lobes under a wide light, where paths that carry light are not rare. Sees, for one number, intervals
+/// that hold 83 instead of 95 %.
+///
+/// As measured: 94.3 % of all intervals hold at 5 %, the worst number's 90.5 % of 200; at 10 % it is 93.0 and 86 to 88 %, and this
+/// fails. A number whose own error is above a tenth has not seen its rarest paths often enough to state it.
+#[test]
+fn stated_intervals_hold_the_truth_of_a_soft_cloth() {
+    let options = FiberSceneOptions {
+        light: WIDE,
+        ..FiberSceneOptions::default()
+    };
+    let scene = FiberScene::new(&felt(60, 0.2), khungurn(), options).unwrap();
+    intervals_hold(&scene, &parameters(SOFT), 0.05, 120);
+}
+
+/// 300 runs at 2 % over Khungurn's 16 configurations of the bench twill with Gabardine's fibers, under the real light.
+/// `RENDER_COVERAGE_RUNS` and `RENDER_COVERAGE_ACCURACY` choose other numbers for partial checks; the limits follow. Sees, for one
+/// number, intervals that hold 86 instead of 95 %.
+#[test]
+#[ignore = "slow: 130 min"]
+fn stated_intervals_hold_the_truth() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fabrics/bench_twill22.toml");
+    let fabric = goniofit::fabric::load(&path).unwrap();
+    let scene = FiberScene::new(&fabric.tile, khungurn(), FiberSceneOptions::default()).unwrap();
+    let runs = setting("RENDER_COVERAGE_RUNS", 300.0) as u64;
+    let accuracy = setting("RENDER_COVERAGE_ACCURACY", 0.02);
+    intervals_hold(&scene, &parameters(GABARDINE), accuracy, runs);
 }

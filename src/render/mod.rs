@@ -91,9 +91,8 @@ impl Request<'_> {
 
 /// The estimate for one configuration.
 ///
-/// Mean +- 1.96 standard errors is a 95 % interval: there are so many batches that Student's t is the normal distribution.
-/// Where light comes by rare bright paths, few paths understate the error; `tests/render_coverage.rs` shows from where
-/// on it can be trusted.
+/// Mean +- 1.96 standard errors is a 95 % interval where the error is below a tenth of the mean (`tests/render_coverage.rs`).
+/// Above, the rarest bright paths have not been seen often enough: such intervals held the truth in 86 to 93 % of runs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// The configuration's id.
