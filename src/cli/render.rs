@@ -7,7 +7,9 @@ mod subject;
 use super::output::data;
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
-use crate::render::{Effort, Estimates, FiberScene, FiberSceneOptions, LightShape, Request, Scene};
+use crate::render::{
+    Effort, Estimates, FiberScene, FiberSceneOptions, Integrator, LightShape, Request, Scene,
+};
 use crate::rig::{LightSource, RigDescription};
 use crate::scatter::Parameters;
 use crate::session::{SessionFolder, files};
@@ -59,12 +61,21 @@ struct MeansArguments {
     /// Weighted rms standard error of all numbers to reach, e.g. 1% or 0.01 [default: 5%]
     #[arg(long, value_name = "A", value_parser = inputs::fraction)]
     accuracy: Option<f64>,
+    /// How paths are followed: fast, or basic (slow, plain, to check the fast one)
+    #[arg(long, default_value = "fast", hide_default_value = true)]
+    integrator: Integrators,
     /// Also print the derivatives by every model parameter
     #[arg(long)]
     derivatives: bool,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Integrators {
+    Fast,
+    Basic,
 }
 
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
@@ -128,7 +139,10 @@ fn means(a: &MeansArguments) -> Result<Outcome> {
         scene,
         parameters,
         configurations,
-    } = a.subject.read()?;
+    } = a.subject.read(match a.integrator {
+        Integrators::Fast => Integrator::Fast,
+        Integrators::Basic => Integrator::Basic,
+    })?;
     let terminal = Terminal::new()?;
     let effort = match (a.paths, a.accuracy) {
         (Some(n), _) => Effort::Paths(n),

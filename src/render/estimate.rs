@@ -8,12 +8,12 @@
 //! derivatives are unbiased.
 
 use super::allocation::{
-    Group, MIN_PATHS, TAU, groups, paths_for_accuracy, planned_paths, weighted_variance, worth,
+    Group, TAU, groups, paths_for_accuracy, planned_paths, weighted_variance, worth,
 };
 use super::guide::{Guide, Lesson, Pupil};
 use super::scene::FiberScene;
 use super::summation::{Summation, Sums};
-use super::{Effort, Estimate, Estimates, Request, relative_error_weight, weighted_rms};
+use super::{Effort, Estimate, Estimates, MIN_PATHS, Request, relative_error_weight, weighted_rms};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
 use crate::scatter::{CHANNELS, Scattering};
@@ -280,11 +280,6 @@ pub(super) fn estimate(
 ) -> Result<Estimates> {
     let clock = (std::time::Instant::now(), cpu_seconds());
     let configurations = request.configurations;
-    if configurations.is_empty() {
-        return Err(Error::new(
-            "nothing to render: the plan has no configurations",
-        ));
-    }
     let scattering = scene.model.prepare(request.parameters)?;
     let groups = groups(scene, configurations);
     let rows = scene.model.parameters().len();
@@ -306,7 +301,7 @@ pub(super) fn estimate(
         settled.learn(&round, moments, &learned);
         Ok(())
     };
-    let final_paths = match planned_paths(&request.effort, &groups)? {
+    let final_paths = match planned_paths(&request.effort, &groups) {
         Some(planned) => {
             for (number, paths) in planned_pilots(&planned).into_iter().enumerate() {
                 pilot(number as u64, paths, &mut settled)?;
@@ -419,7 +414,7 @@ impl Estimates {
 }
 
 /// CPU time of this process so far, all threads, seconds.
-fn cpu_seconds() -> f64 {
+pub(super) fn cpu_seconds() -> f64 {
     let t = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     t.tv_sec as f64 + t.tv_nsec as f64 * 1e-9
 }

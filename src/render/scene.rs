@@ -4,7 +4,7 @@ use super::geometry::Geometry;
 use super::guide::{Guide, StateMap};
 use super::light::{Lamp, LightShape};
 use super::path::Stage;
-use super::{Estimates, Request, Scene, estimate};
+use super::{Estimates, Request, Scene, basic, estimate};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::FiberTile;
 use crate::math::Random;
@@ -45,7 +45,17 @@ impl View {
     }
 }
 
-/// What surrounds the cloth.
+/// How paths are followed and made estimates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Integrator {
+    /// Made for speed.
+    #[default]
+    Fast,
+    /// Made to be read: the same means and derivatives from plain path tracing, for tests.
+    Basic,
+}
+
+/// What surrounds the cloth, and how it is rendered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FiberSceneOptions {
     /// The light's size and distance.
@@ -56,6 +66,8 @@ pub struct FiberSceneOptions {
     pub plate: Plate,
     /// How the camera projects.
     pub view: View,
+    /// How paths are followed.
+    pub integrator: Integrator,
 }
 
 impl FiberSceneOptions {
@@ -93,6 +105,7 @@ impl Default for FiberSceneOptions {
             sample_square: 10.0,
             plate: Plate::Black,
             view: View::Orthographic,
+            integrator: Integrator::Fast,
         }
     }
 }
@@ -197,7 +210,11 @@ impl Scene for FiberScene {
     }
 
     fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates> {
+        request.check()?;
         self.check_poses(request.configurations)?;
-        estimate::estimate(self, request, watch)
+        match self.options.integrator {
+            Integrator::Fast => estimate::estimate(self, request, watch),
+            Integrator::Basic => basic::estimate(self, request, watch),
+        }
     }
 }

@@ -5,7 +5,7 @@ use super::subject::{Subject, find, length, numbers};
 use crate::base::{Error, Result};
 use crate::cli::output::data;
 use crate::cli::{Outcome, inputs, terminal::Terminal};
-use crate::render::{FiberScene, PictureEffort, PictureRequest, Region};
+use crate::render::{FiberScene, Integrator, PictureEffort, PictureRequest, Region};
 use crate::scatter::Parameters;
 use crate::session::{Configuration, files};
 use std::path::{Path, PathBuf};
@@ -101,7 +101,7 @@ impl Size {
 
 pub(super) fn run(a: &ImageArguments) -> Result<Outcome> {
     let begun = Instant::now();
-    let ready = a.subject.read()?;
+    let ready = a.subject.read(Integrator::Fast)?;
     let configurations = chosen(a, &ready.configurations)?;
     let (rows, derivatives) = wanted_derivatives(&a.derivative, &ready.parameters)?;
     let region = region(a, &ready.scene);

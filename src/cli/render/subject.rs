@@ -3,7 +3,7 @@
 use super::{fiber_scene, surroundings};
 use crate::base::{Error, Result};
 use crate::cli::inputs;
-use crate::render::{FiberScene, FiberSceneOptions, Plate, View};
+use crate::render::{FiberScene, FiberSceneOptions, Integrator, Plate, View};
 use crate::rig::RigDescription;
 use crate::scatter::{self, Parameters};
 use crate::session::{Configuration, Plan};
@@ -84,14 +84,18 @@ pub(super) struct Ready {
 
 impl Subject {
     /// Reads all files and builds the scene.
-    pub(super) fn read(&self) -> Result<Ready> {
+    pub(super) fn read(&self, integrator: Integrator) -> Result<Ready> {
         let model = scatter::model(&self.model)?;
         let configurations = self.poses.configurations()?;
         let parameters = match &self.params {
             Some(path) => inputs::parameters(path, model)?,
             None => Parameters::defaults(model),
         };
-        let scene = fiber_scene(&self.fabric, model, self.surroundings.options()?)?;
+        let options = FiberSceneOptions {
+            integrator,
+            ..self.surroundings.options()?
+        };
+        let scene = fiber_scene(&self.fabric, model, options)?;
         Ok(Ready {
             scene,
             parameters,
