@@ -45,25 +45,24 @@ struct Poses {
 
 /// What surrounds the cloth.
 #[derive(clap::Args)]
-#[command(next_help_heading = "Surroundings")]
 struct Surroundings {
     /// Rig whose light and sample square to render [default: a light of 10 cm at 61 cm, a square of 1 cm]
-    #[arg(long, value_name = "RIG.toml")]
+    #[arg(long, help_heading = "Surroundings", value_name = "RIG.toml")]
     rig: Option<PathBuf>,
     /// Side of the square light, millimeters; replaces the rig's
-    #[arg(long, value_name = "MM", value_parser = length)]
+    #[arg(long, help_heading = "Surroundings", value_name = "MM", value_parser = length)]
     light_size: Option<f64>,
     /// From the sample's center to the light, millimeters; replaces the rig's
-    #[arg(long, value_name = "MM", value_parser = length)]
+    #[arg(long, help_heading = "Surroundings", value_name = "MM", value_parser = length)]
     light_distance: Option<f64>,
     /// Side of the square on the sample that is averaged, millimeters; replaces the rig's
-    #[arg(long, value_name = "MM", value_parser = length)]
+    #[arg(long, help_heading = "Surroundings", value_name = "MM", value_parser = length)]
     sample_square: Option<f64>,
     /// Under the cloth: black, open (nothing), white, or a diffuse surface of albedo A or R,G,B
-    #[arg(long, default_value = "black", value_parser = plate)]
+    #[arg(long, help_heading = "Surroundings", default_value = "black", value_parser = plate)]
     plate: Plate,
     /// The camera's rays: ortho (parallel), or pinhole:MM (through one point at that distance from the sample's center)
-    #[arg(long, default_value = "ortho", value_parser = view)]
+    #[arg(long, help_heading = "Surroundings", default_value = "ortho", value_parser = view)]
     view: View,
 }
 
