@@ -116,7 +116,7 @@ fn everything_stays_finite_along_the_axis_and_far_from_the_lobes() {
         for wi in hostile {
             for wo in hostile {
                 let e = s.evaluate(wi, wo, 0.0);
-                let pdf = s.density(wi, wo, 0.0, [1.0; 3]).1;
+                let pdf = s.importance(wi, wo, 0.0, [1.0; 3]).1;
                 let all = e
                     .value
                     .iter()
@@ -136,10 +136,10 @@ fn a_direction_that_is_not_a_number_is_not_hidden() {
     let s = Khungurn.prepare(&Parameters::defaults(&Khungurn)).unwrap();
     let e = s.evaluate(DVec3::NAN, DVec3::Y, 0.0);
     assert!(e.value[0].is_nan() && e.derivative[2][1].is_nan());
-    assert!(s.density(DVec3::NAN, DVec3::Y, 0.0, [1.0; 3]).1.is_nan());
+    assert!(s.importance(DVec3::NAN, DVec3::Y, 0.0, [1.0; 3]).1.is_nan());
     let e = s.evaluate(DVec3::Y, DVec3::NAN, 0.0);
     assert!(e.value[0].is_nan());
-    assert!(s.density(DVec3::Y, DVec3::NAN, 0.0, [1.0; 3]).1.is_nan());
+    assert!(s.importance(DVec3::Y, DVec3::NAN, 0.0, [1.0; 3]).1.is_nan());
     let sampled = s
         .sample(DVec3::NAN, 0.0, [1.0; 3], &mut scatter_laws::stream(1, 0))
         .unwrap();

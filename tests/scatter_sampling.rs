@@ -68,7 +68,7 @@ impl Case {
     }
 
     fn pdf(&self, wi: DVec3) -> f64 {
-        self.scattering.density(wi, self.wo, 0.0, CARRIED).1
+        self.scattering.importance(wi, self.wo, 0.0, CARRIED).1
     }
 
     fn rule(&self) -> SphereRule {
@@ -164,7 +164,9 @@ fn the_reported_evaluation_and_weight_belong_to_the_reported_direction() {
                 .scattering
                 .sample(case.wo, 0.0, CARRIED, &mut random)
                 .unwrap();
-            let (value, pdf) = case.scattering.density(sampled.wi, case.wo, 0.0, CARRIED);
+            let (value, pdf) = case
+                .scattering
+                .importance(sampled.wi, case.wo, 0.0, CARRIED);
             let again = case.scattering.evaluate(sampled.wi, case.wo, 0.0).value;
             let cos = sampled.wi.y.hypot(sampled.wi.z);
             let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();

@@ -259,13 +259,13 @@ impl Pupil {
 
 impl Visitor for Pupil {
     fn bounce(&mut self, depth: usize, event: Event<'_>) {
-        self.go_on(depth, event.weight);
+        self.go_on(depth, event.weight());
     }
     fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]) {
         self.go_on(depth, weight);
     }
     fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>) {
-        self.add(depth, lamp, event.weight);
+        self.add(depth, lamp, event.weight());
     }
     fn arrive(&mut self, depth: usize, lamp: usize, factor: [f64; CHANNELS]) {
         self.add(depth, lamp, factor);

@@ -112,7 +112,7 @@ impl Visitor for Furnace {
         // A lone fiber is convex; what goes on within 1e-5 of horizontal meets its copy a meter away.
         if depth == 0 {
             self.bounces += 1;
-            self.throughput = event.weight;
+            self.throughput = event.weight();
         }
     }
     fn reflect(&mut self, _depth: usize, _weight: [f64; 3]) {}
@@ -208,12 +208,12 @@ struct SingleScattering {
 impl Visitor for SingleScattering {
     fn bounce(&mut self, _depth: usize, event: Event<'_>) {
         self.bounces += 1;
-        self.throughput *= event.weight[1];
+        self.throughput *= event.weight()[1];
     }
     fn reflect(&mut self, _depth: usize, _weight: [f64; 3]) {}
     fn connect(&mut self, _depth: usize, _lamp: usize, event: Event<'_>) {
         if self.bounces == 0 {
-            self.sum += event.weight[1];
+            self.sum += event.weight()[1];
         }
     }
     fn arrive(&mut self, _depth: usize, _lamp: usize, factor: [f64; 3]) {
@@ -435,19 +435,12 @@ enum Step {
 #[derive(Default)]
 struct Recorder(Vec<Step>);
 
-fn fixed_factor(event: &Event<'_>) -> f64 {
-    let c = (0..3)
-        .max_by(|&a, &b| event.evaluation.value[a].total_cmp(&event.evaluation.value[b]))
-        .unwrap();
-    event.weight[c] / event.evaluation.value[c]
-}
-
 impl Visitor for Recorder {
     fn bounce(&mut self, _depth: usize, event: Event<'_>) {
         self.0.push(Step::Bounce {
             wi: event.wi,
             wo: event.wo,
-            factor: fixed_factor(&event),
+            factor: event.factor,
         });
     }
     fn reflect(&mut self, _depth: usize, _weight: [f64; 3]) {}
@@ -455,7 +448,7 @@ impl Visitor for Recorder {
         self.0.push(Step::Connect {
             wi: event.wi,
             wo: event.wo,
-            factor: fixed_factor(&event),
+            factor: event.factor,
         });
     }
     fn arrive(&mut self, _depth: usize, _lamp: usize, factor: [f64; 3]) {

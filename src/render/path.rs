@@ -36,10 +36,17 @@ pub(super) struct Event<'a> {
     /// Where across the fiber the camera side meets it, see [`Scattering`].
     #[expect(dead_code, reason = "read by visitors that record paths")]
     pub(super) h: f64,
-    /// `S(wi, wo)` times everything that does not depend on the parameters (cosine, densities, roulette).
-    pub(super) weight: [f64; CHANNELS],
+    /// Everything that does not depend on the parameters: cosine, densities, roulette, the lamp's radiance.
+    pub(super) factor: f64,
     /// Value and derivatives of `S` at the two directions.
     pub(super) evaluation: &'a Evaluation,
+}
+
+impl Event<'_> {
+    /// What light is multiplied with on its way through this event: `S` times the factor.
+    pub(super) fn weight(&self) -> [f64; CHANNELS] {
+        self.evaluation.value.map(|s| s * self.factor)
+    }
 }
 
 /// Whoever follows a path: sums it up, or records it.
@@ -83,7 +90,8 @@ struct Leg {
     depth: usize,
     origin: DVec3,
     direction: DVec3,
-    throughput: [f64; CHANNELS],
+    /// What it carries, as [`Scattering::importance`] has it: it decides what is followed, not what is found.
+    carried: [f64; CHANNELS],
     skip: Skip,
     begun: Begun,
 }
@@ -105,7 +113,7 @@ struct Scatter {
     wi: DVec3,
     wo: DVec3,
     h: f64,
-    weight: [f64; CHANNELS],
+    factor: f64,
     pdf: f64,
     /// The fiber's axis, from where lamps are looked for.
     from: DVec3,
@@ -127,7 +135,7 @@ impl Stage<'_> {
             depth: 0,
             origin: through + toward_camera * (top.max(0.0) / toward_camera.z),
             direction: -toward_camera,
-            throughput: [1.0; CHANNELS],
+            carried: [1.0; CHANNELS],
             skip: Skip::NOTHING,
             begun: Begun::Camera,
         }];
@@ -151,7 +159,7 @@ impl Stage<'_> {
                     wi: s.wi,
                     wo: s.wo,
                     h: s.h,
-                    weight: s.weight,
+                    factor: s.factor,
                     evaluation: &evaluation,
                 };
                 visitor.bounce(leg.depth - 1, event);
@@ -189,12 +197,12 @@ impl Stage<'_> {
         let skip = self.geometry.skip(hit.image);
         let mut comb = Comb::new(random);
         for _ in 0..candidates {
-            let sampled = self.scattering.sample(wo, place.h, leg.throughput, random);
+            let sampled = self.scattering.sample(wo, place.h, leg.carried, random);
             let Some(sampled) = sampled else {
                 continue;
             };
             let direction = place.frame.to_world(sampled.wi);
-            let grown = times(leg.throughput, sampled.weight.map(|w| w * share));
+            let grown = times(leg.carried, sampled.weight.map(|w| w * share));
             let state = self.map.state(place.center, direction);
             let survival = self.guide.survival(state, grown);
             if !comb.takes(survival) {
@@ -204,13 +212,13 @@ impl Stage<'_> {
                 depth: leg.depth + 1,
                 origin: place.exit(direction),
                 direction,
-                throughput: grown.map(|g| g / survival),
+                carried: grown.map(|g| g / survival),
                 skip,
                 begun: Begun::Fiber(Scatter {
                     wi: sampled.wi,
                     wo,
                     h: place.h,
-                    weight: sampled.weight.map(|w| w * share / survival),
+                    factor: across(sampled.wi) / sampled.pdf * share / survival,
                     pdf: sampled.pdf,
                     from: place.center,
                     state,
@@ -244,11 +252,11 @@ impl Stage<'_> {
                     continue;
                 };
                 let wi = place.frame.to_local(point.direction);
-                let (value, pdf) = self.scattering.density(wi, wo, place.h, leg.throughput);
+                let (value, pdf) = self.scattering.importance(wi, wo, place.h, leg.carried);
                 let cosine = across(wi);
                 let factor =
                     lamp.normalized_radiance() * cosine / (point.pdf + pdf) / points as f64;
-                let worth = factor * largest(times(leg.throughput, value));
+                let worth = factor * largest(times(leg.carried, value));
                 if worth <= 0.0 {
                     continue;
                 }
@@ -267,12 +275,11 @@ impl Stage<'_> {
                 continue;
             }
             let evaluation = self.scattering.evaluate(wi, wo, place.h);
-            let factor = factor * sum / (worth * odds);
             let event = Event {
                 wi,
                 wo,
                 h: place.h,
-                weight: evaluation.value.map(|s| s * factor),
+                factor: factor * sum / (worth * odds),
                 evaluation: &evaluation,
             };
             visitor.connect(leg.depth, index, event);
@@ -332,7 +339,7 @@ impl Stage<'_> {
         let (sin2, turn) = (random.uniform(), TAU * random.uniform());
         let cosine = (1.0 - sin2).sqrt();
         let direction = DVec3::new(sin2.sqrt() * turn.cos(), sin2.sqrt() * turn.sin(), cosine);
-        let grown = times(leg.throughput, albedo);
+        let grown = times(leg.carried, albedo);
         let state = self.map.state(point, direction);
         let survival = self.guide.survival(state, grown);
         if random.uniform() < survival {
@@ -340,7 +347,7 @@ impl Stage<'_> {
                 depth: leg.depth + 1,
                 origin: point,
                 direction,
-                throughput: grown.map(|g| g / survival),
+                carried: grown.map(|g| g / survival),
                 skip: Skip::NOTHING,
                 begun: Begun::Plate {
                     weight: albedo.map(|a| a / survival),

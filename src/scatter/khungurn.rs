@@ -87,6 +87,9 @@ impl Model for Khungurn {
 /// Least share of the samples that each lobe gets, so that derivatives by a color near zero stay sampled.
 const LEAST_SHARE: f64 = 0.05;
 
+/// Least color by which paths are followed: at a color of zero, a path carries derivatives where it carries no light.
+const LEAST_COLOR: f64 = 0.01;
+
 /// Most points of a light that are looked at.
 const MOST_LIGHT_POINTS: usize = 16;
 
@@ -98,6 +101,8 @@ const ON_AXIS: f64 = 1e-100;
 pub struct KhungurnScattering {
     c_r: [f64; CHANNELS],
     c_tt: [f64; CHANNELS],
+    /// The colors by which paths are sampled and followed.
+    followed: [[f64; CHANNELS]; 2],
     r: LongitudinalLobe,
     tt: LongitudinalLobe,
     azimuthal: VonMises,
@@ -118,6 +123,7 @@ impl KhungurnScattering {
         Ok(Self {
             c_r,
             c_tt,
+            followed: [c_r, c_tt].map(|color| color.map(|c| c.max(LEAST_COLOR))),
             r: LongitudinalLobe::new(parameters.scalar("beta_r")),
             tt: LongitudinalLobe::new(parameters.scalar("beta_tt")),
             azimuthal: VonMises::new(parameters.scalar("gamma_tt")),
@@ -130,9 +136,10 @@ impl KhungurnScattering {
         let w5 = o.schlick();
         let (mut r, mut tt) = (0.0, 0.0);
         for c in 0..CHANNELS {
-            let f = self.c_r[c] + (1.0 - self.c_r[c]) * w5;
+            let [c_r, c_tt] = self.followed.map(|color| color[c]);
+            let f = c_r + (1.0 - c_r) * w5;
             r += (carried[c] * f).powi(2);
-            tt += (carried[c] * self.c_tt[c] * (1.0 - f)).powi(2);
+            tt += (carried[c] * c_tt * (1.0 - f)).powi(2);
         }
         let (r, tt) = (r.sqrt(), tt.sqrt());
         let share = if r + tt <= 0.0 { 0.5 } else { r / (r + tt) };
@@ -166,11 +173,11 @@ impl KhungurnScattering {
         }
     }
 
-    /// `S` per channel.
-    fn value(&self, lobes: &Lobes) -> [f64; CHANNELS] {
+    /// `S` per channel, for fibers of colors C_R and C_TT.
+    fn value(lobes: &Lobes, [c_r, c_tt]: [[f64; CHANNELS]; 2]) -> [f64; CHANNELS] {
         std::array::from_fn(|c| {
-            let f = self.c_r[c] + (1.0 - self.c_r[c]) * lobes.w5;
-            f * lobes.r + self.c_tt[c] * (1.0 - f) * lobes.tt
+            let f = c_r[c] + (1.0 - c_r[c]) * lobes.w5;
+            f * lobes.r + c_tt[c] * (1.0 - f) * lobes.tt
         })
     }
 
@@ -223,12 +230,12 @@ impl Scattering for KhungurnScattering {
             derivative[4][c] = tt * log_gamma;
         }
         Evaluation {
-            value: self.value(&lobes),
+            value: Self::value(&lobes, [self.c_r, self.c_tt]),
             derivative,
         }
     }
 
-    fn density(
+    fn importance(
         &self,
         wi: DVec3,
         wo: DVec3,
@@ -238,7 +245,7 @@ impl Scattering for KhungurnScattering {
         let (i, o) = (FiberAngles::new(wi), FiberAngles::new(wo));
         let lobes = self.lobes(&i, &o);
         let pdf = self.mixture(&lobes, &o, carried) / i.cos_theta;
-        (self.value(&lobes), pdf)
+        (Self::value(&lobes, self.followed), pdf)
     }
 
     /// One for each width of the R lobe within the light's angular radius, where that lobe matters.
@@ -291,7 +298,7 @@ impl Scattering for KhungurnScattering {
         let factor = cos_theta * cos_theta / density;
         Some(Sampled {
             wi: DVec3::new(sin_theta, cos_theta * az_y, cos_theta * az_z),
-            weight: self.value(&lobes).map(|s| s * factor),
+            weight: Self::value(&lobes, self.followed).map(|s| s * factor),
             pdf: density / cos_theta,
         })
     }

@@ -40,7 +40,7 @@ pub struct Evaluation {
 pub struct Sampled {
     /// The sampled direction (unit, fiber frame).
     pub wi: DVec3,
-    /// `S(wi, wo) cos(theta_i) / pdf` per channel. May exceed 1.
+    /// `S(wi, wo) cos(theta_i) / pdf` per channel, with `S` as [`Scattering::importance`] has it. May exceed 1.
     pub weight: [f64; CHANNELS],
     /// Density per solid angle with which `wi` was chosen, 1/sr.
     pub pdf: f64,
@@ -65,8 +65,9 @@ pub trait Scattering: Send + Sync {
     /// Scattering function and derivatives.
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation;
 
-    /// Scattering function alone, and the density per solid angle with which [`Scattering::sample`] chooses `wi`, 1/sr.
-    fn density(
+    /// What is worth following, and the density per solid angle with which [`Scattering::sample`] chooses `wi`, 1/sr: the
+    /// scattering function, but not zero where only its derivatives live, as at a color of zero.
+    fn importance(
         &self,
         wi: DVec3,
         wo: DVec3,
