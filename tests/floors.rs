@@ -38,7 +38,6 @@ const CRATES: &[(&str, &[&str])] = &[
     ("tiff", &["measure"]),
     ("png", &["measure"]),
     ("exr", &["measure", "report"]),
-    ("obvhs", &["render"]),
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),

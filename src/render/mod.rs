@@ -10,10 +10,12 @@ mod laws;
 mod light;
 mod path;
 mod picture;
+mod probe;
 mod scene;
 
 pub use light::LightShape;
 pub use picture::TilePicture;
+pub use probe::RaySpeed;
 pub use scene::{FiberScene, FiberSceneOptions, Plate, View};
 
 use crate::base::{Result, Watch};
