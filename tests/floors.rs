@@ -38,7 +38,6 @@ const CRATES: &[(&str, &[&str])] = &[
     ("tiff", &["measure"]),
     ("png", &["measure", "report"]),
     ("exr", &["measure", "report"]),
-    ("obvhs", &["render"]),
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),

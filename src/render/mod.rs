@@ -14,11 +14,13 @@ mod laws;
 mod light;
 mod path;
 mod picture;
+mod probe;
 mod scene;
 mod summation;
 
 pub use light::LightShape;
 pub use picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
+pub use probe::RaySpeed;
 pub use scene::{FiberScene, FiberSceneOptions, Integrator, Plate, View};
 
 use crate::base::{Error, Result, Watch};
