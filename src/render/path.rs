@@ -96,6 +96,13 @@ struct Leg {
     begun: Begun,
 }
 
+impl Leg {
+    fn is_finite(&self) -> bool {
+        let carried = self.carried.iter().all(|c| c.is_finite());
+        carried && self.direction.is_finite() && self.origin.is_finite()
+    }
+}
+
 /// How a leg began.
 enum Begun {
     Camera,
@@ -140,6 +147,12 @@ impl Stage<'_> {
             begun: Begun::Camera,
         }];
         while let Some(leg) = open.pop() {
+            if !leg.is_finite() {
+                // Found in the result, and reported there.
+                (0..self.lamps.len())
+                    .for_each(|lamp| visitor.arrive(0, lamp, [f64::NAN; CHANNELS]));
+                return;
+            }
             self.begin(&leg, visitor);
             match self.geometry.closest(leg.origin, leg.direction, &leg.skip) {
                 Ended::Fiber(hit) => self.at_fiber(&leg, hit, random, visitor, &mut open),
