@@ -28,7 +28,7 @@ const MAP: usize = 128;
 const FLOOR: f64 = 0.05;
 
 /// Directions sampled at a hit by a guide that has learned.
-const CANDIDATES: usize = 4;
+const CANDIDATES: usize = 3;
 
 /// Branches of average worth that each state is taken to have seen before the pilot.
 const PRIOR: f64 = 10.0;
@@ -60,7 +60,8 @@ impl StateMap {
 
     /// The state of a branch that sets out from `point` toward `direction`.
     pub(super) fn state(&self, point: DVec3, direction: DVec3) -> usize {
-        let cell = |p: f64, size: f64| ((p / size).rem_euclid(1.0) * MAP as f64) as usize % MAP;
+        let part = |x: f64| x - x.floor();
+        let cell = |p: f64, size: f64| (part(p / size) * MAP as f64) as usize % MAP;
         let top = self.top[cell(point.y, self.size[1]) * MAP + cell(point.x, self.size[0])];
         let depth = ((top - point.z) / (self.z_range[1] - self.z_range[0])).max(0.0);
         let bin = |unit: f64, n: usize| ((unit * n as f64) as usize).min(n - 1);

@@ -79,7 +79,7 @@ pub(super) struct Stage<'a> {
 }
 
 /// Least probability with which a small connection is made.
-const CONNECTION_FLOOR: f64 = 0.05;
+const CONNECTION_FLOOR: f64 = 0.01;
 
 /// Steps of the two-dimensional lattice of Roberts 2018 (powers of the inverse plastic number) for points on a lamp.
 const LATTICE: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];

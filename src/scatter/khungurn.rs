@@ -148,7 +148,11 @@ impl KhungurnScattering {
 
     /// The lobes at a pair of directions, each with strength 1.
     fn lobes(&self, i: &FiberAngles, o: &FiberAngles) -> Lobes {
-        let delta = 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t);
+        self.lobes_at(i, o, 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t))
+    }
+
+    /// The lobes at a pair of directions whose longitudinal angles add up to `delta`.
+    fn lobes_at(&self, i: &FiberAngles, o: &FiberAngles, delta: f64) -> Lobes {
         let square = delta * delta;
         // R = gbar/(2 pi), TT = gbar N. One exponential each.
         let (az_y, az_z) = (i.az_y + o.az_y, i.az_z + o.az_z);
@@ -273,7 +277,9 @@ impl Scattering for KhungurnScattering {
         let o = FiberAngles::new(wo);
         let from_r = random.uniform() < self.share_of_r(&o, carried);
         let lobe = if from_r { &self.r } else { &self.tt };
-        let (sin_theta, cos_theta) = lobe.sample(-2.0 * o.t.atan(), random).sin_cos();
+        let theta_o = 2.0 * o.t.atan();
+        let theta = lobe.sample(-theta_o, random);
+        let (sin_theta, cos_theta) = theta.sin_cos();
         // Azimuth relative to phi_o + pi, as cosine and sine.
         let (cos_az, sin_az) = if from_r {
             let (sin, cos) = (TAU * random.uniform()).sin_cos();
@@ -292,7 +298,7 @@ impl Scattering for KhungurnScattering {
             az_y,
             az_z,
         };
-        let lobes = self.lobes(&i, &o);
+        let lobes = self.lobes_at(&i, &o, theta + theta_o);
         let density = self.mixture(&lobes, &o, carried);
         // S cos(theta_i) / pdf = S cos^2(theta_i) / density: no division by a cosine.
         let factor = cos_theta * cos_theta / density;
