@@ -1,6 +1,7 @@
 //! Million bounce rays per CPU second of one core, with the work per ray beside them.
 //!
-//! `cargo bench --bench ray_speed [-- FABRIC.toml ...] [--scale] [--json]`; without a file `fabrics/bench_twill22.toml`.
+//! `cargo bench --bench ray_speed [-- FABRIC.toml ...] [--scale] [--json]`; without a file `fabrics/bench_twill22.toml`. The floor
+//! and what was measured are in docs/decisions/0005-ray-tracing.md.
 //! `--scale` repeats that weave on larger and larger tiles at the same density, from 10 thousand to 5 million segments.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 

@@ -224,6 +224,52 @@ fn chord_errors_are_kept() {
     assert!(error <= 0.05 && error > 0.02, "{error}");
 }
 
+/// Largest distance of the finely cut fibers' points from the segments of the same fibers in `tile`, micrometers.
+fn largest_departure(tile: &FiberTile, fine: &FiberTile) -> f64 {
+    let (coarse, fine) = (curves(tile), curves(fine));
+    assert_eq!(coarse.len(), fine.len());
+    let to_segment = |p: DVec3, a: DVec3, b: DVec3| {
+        let u = (p - a).dot(b - a) / (b - a).length_squared();
+        p.distance(a + (b - a) * u.clamp(0.0, 1.0))
+    };
+    let departures = coarse.iter().zip(&fine).flat_map(|(coarse, fine)| {
+        fine.points.iter().map(|&p| {
+            let segments = coarse.points.windows(2);
+            let distances = segments.map(|w| to_segment(p, w[0], w[1]));
+            distances.fold(f64::INFINITY, f64::min)
+        })
+    });
+    1e3 * departures.fold(0.0, f64::max)
+}
+
+/// Sees a departure 2 % over the tolerance. Negative control: as many segments of even length leave the curve farther.
+#[test]
+fn cuts_by_curvature_keep_the_tolerance_with_fewer_segments() {
+    let cut = |rule: &str| described(&small(&[("length_mm = 0.01", rule)])).unwrap();
+    let fine = cut("length_mm = 0.0005").tile;
+    for tolerance in [0.05, 0.5] {
+        let own = cut(&format!("tolerance_um = {tolerance}"));
+        check_links(&own.tile);
+        let departure = largest_departure(&own.tile, &fine);
+        assert!(
+            departure <= 1.02 * tolerance && departure > 0.8 * tolerance,
+            "{departure}"
+        );
+        assert!(own.report.chord_error_um.unwrap() <= tolerance);
+        let even = cut(&format!("chord_error_um = {tolerance}"));
+        assert!(
+            (own.tile.segments.len() as f64) < 0.85 * even.tile.segments.len() as f64,
+            "{} against {}",
+            own.tile.segments.len(),
+            even.tile.segments.len()
+        );
+        let length = own.tile.size[0] / own.report.systems[0].segments_per_fiber as f64;
+        let as_many = cut(&format!("length_mm = {length}"));
+        let control = largest_departure(&as_many.tile, &fine);
+        assert!(control > 1.2 * tolerance, "{control}");
+    }
+}
+
 #[test]
 fn rates_that_do_not_close_are_rounded_and_reported() {
     let text = small(&[("twist_per_tile = 2", "twist_per_mm = 1.9")]);
@@ -320,6 +366,7 @@ fn senseless_descriptions_are_refused_with_place_and_hint() {
         "{message}"
     );
     refused("length_mm = 0.01", "chord_error_um = 0.0", "chord_error_um");
+    refused("length_mm = 0.01", "tolerance_um = nan", "tolerance_um");
     refused(
         "pattern = \"2/1 twill\"",
         "pattern = \"knit\"",

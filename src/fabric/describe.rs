@@ -41,7 +41,8 @@ pub struct FabricReport {
     pub fiber_axis_inside: f64,
     /// Fraction of yarn volume inside a yarn of the other system (woven fabrics).
     pub yarn_overlap: Option<f64>,
-    /// Largest distance of a fiber's curve from its segments at their middles, micrometers (woven fabrics).
+    /// Largest distance of a fiber's curve from its segments, checked at their middles (with `tolerance_um` at seven points
+    /// of each), micrometers (woven fabrics).
     pub chord_error_um: Option<f64>,
     /// Warp and weft (woven fabrics).
     pub systems: Vec<SystemReport>,
@@ -62,7 +63,7 @@ pub struct SystemReport {
     pub pitch_mm: f64,
     /// Fibers in each yarn.
     pub fibers_per_yarn: u32,
-    /// Segments of each fiber.
+    /// Segments of each fiber; with `tolerance_um` their mean, rounded.
     pub segments_per_fiber: usize,
     /// Twist turns of a yarn on the tile.
     pub twist_per_tile: i32,
@@ -178,7 +179,7 @@ impl FabricReport {
             yarns: yarns.len(),
             pitch_mm: system.pitch,
             fibers_per_yarn: shape.fibers,
-            segments_per_fiber: system.segments_per_fiber,
+            segments_per_fiber: system.segments_per_fiber(),
             twist_per_tile: shape.turns,
             migration_per_tile: shape.migrations,
             packing: fibers / section,

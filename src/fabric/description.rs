@@ -80,6 +80,7 @@ fn tenth() -> f64 {
 struct SegmentsFile {
     length_mm: Option<f64>,
     chord_error_um: Option<f64>,
+    tolerance_um: Option<f64>,
 }
 
 /// The file that points to a file of fibers.
@@ -301,18 +302,22 @@ impl SystemFile {
 
 impl SegmentsFile {
     fn check(&self) -> Result<Segmentation> {
-        match (self.length_mm, self.chord_error_um) {
-            (None, None) => Ok(Segmentation::ChordError(2e-4)),
-            (Some(length), None) => {
+        match (self.length_mm, self.chord_error_um, self.tolerance_um) {
+            (None, None, None) => Ok(Segmentation::ChordError(2e-4)),
+            (Some(length), None, None) => {
                 within("[segments] length_mm", length, 1e-5, 100.0)?;
                 Ok(Segmentation::Length(length))
             }
-            (None, Some(error)) => {
+            (None, Some(error), None) => {
                 within("[segments] chord_error_um", error, 1e-4, 1e3)?;
                 Ok(Segmentation::ChordError(error * 1e-3))
             }
+            (None, None, Some(error)) => {
+                within("[segments] tolerance_um", error, 1e-4, 1e3)?;
+                Ok(Segmentation::Tolerance(error * 1e-3))
+            }
             _ => Err(Error::new(
-                "[segments] expected at most one of 'length_mm' and 'chord_error_um'",
+                "[segments] expected at most one of 'length_mm', 'chord_error_um' and 'tolerance_um'",
             )),
         }
     }

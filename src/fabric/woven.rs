@@ -57,8 +57,21 @@ pub struct System {
 pub enum Segmentation {
     /// Segments of this length along the yarn's axis, millimeters (rounded so that a whole number fits).
     Length(f64),
-    /// As many as keep curve and chord closer than this at segment middles, millimeters.
+    /// As many as keep curve and chord closer than this at segment middles, millimeters; the same number for all fibers of
+    /// a system, all of the same length along the axis.
     ChordError(f64),
+    /// As few as keep every fiber closer to its segments than this, millimeters: short where a fiber bends, long where it
+    /// is straight.
+    Tolerance(f64),
+}
+
+/// Where the fibers of a system are cut.
+#[derive(Debug, Clone)]
+pub(crate) enum Cuts {
+    /// Into so many pieces of the same length along the axis.
+    Even(usize),
+    /// Each at its own places: positions along the axis, millimeters, from 0, for each fiber of each yarn.
+    Own(Vec<Vec<f64>>),
 }
 
 /// Everything the generator needs.
@@ -101,7 +114,7 @@ pub(crate) struct WovenSystem {
     pub(crate) shape: YarnShape,
     pub(crate) yarns: Vec<Yarn>,
     pub(crate) fiber_radius: f64,
-    pub(crate) segments_per_fiber: usize,
+    pub(crate) cuts: Cuts,
     pub(crate) strands: Vec<Vec<Strand>>,
 }
 
@@ -146,11 +159,22 @@ impl Woven {
                     let n = (system.yarns[0].length / length)
                         .round()
                         .max(MIN_SEGMENTS_PER_FIBER as f64);
-                    system.segments_per_fiber = n.min(u32::MAX.into()) as usize;
+                    system.cuts = Cuts::Even(n.min(u32::MAX.into()) as usize);
                 }
                 swatch.check_count()?;
             }
             Segmentation::ChordError(limit) => swatch.refine(limit)?,
+            Segmentation::Tolerance(limit) => {
+                for system in &mut swatch.systems {
+                    system.cuts = Cuts::Own(
+                        system
+                            .fibers()
+                            .map(|(yarn, strand)| system.places(yarn, strand, limit))
+                            .collect(),
+                    );
+                }
+                swatch.check_count()?;
+            }
         }
         swatch.chord_error = swatch
             .systems
@@ -224,7 +248,7 @@ impl Woven {
             shape,
             yarns,
             fiber_radius: own.fiber_radius,
-            segments_per_fiber: 0,
+            cuts: Cuts::Even(0),
             strands,
         }
     }
@@ -267,42 +291,138 @@ impl Woven {
 }
 
 impl WovenSystem {
-    fn fibers(&self) -> impl ParallelIterator<Item = (&Yarn, &Strand)> {
-        self.yarns
-            .par_iter()
-            .zip(&self.strands)
-            .flat_map(|(yarn, strands)| strands.par_iter().map(move |strand| (yarn, strand)))
+    /// Every fiber of every yarn, yarn by yarn.
+    fn fibers(&self) -> impl IndexedParallelIterator<Item = (&Yarn, &Strand)> {
+        let per_yarn = self.shape.fibers as usize;
+        (0..self.yarns.len() * per_yarn)
+            .into_par_iter()
+            .map(move |k| {
+                (
+                    &self.yarns[k / per_yarn],
+                    &self.strands[k / per_yarn][k % per_yarn],
+                )
+            })
     }
 
-    /// Largest distance of a curve from its chord at segment middles, millimeters.
+    /// Segments of all fibers.
+    fn segment_count(&self) -> usize {
+        match &self.cuts {
+            Cuts::Even(n) => self
+                .yarns
+                .len()
+                .saturating_mul(self.shape.fibers as usize)
+                .saturating_mul(*n),
+            Cuts::Own(places) => places.iter().map(Vec::len).sum(),
+        }
+    }
+
+    /// Segments of a fiber: the mean, rounded.
+    pub(crate) fn segments_per_fiber(&self) -> usize {
+        let fibers = self.yarns.len() * self.shape.fibers as usize;
+        (self.segment_count() as f64 / fibers as f64).round() as usize
+    }
+
+    /// Where fiber `index` (yarn by yarn) of the given length begins its segments.
+    fn places_of(&self, index: usize, length: f64) -> Vec<f64> {
+        match &self.cuts {
+            Cuts::Even(n) => (0..*n).map(|k| length * k as f64 / *n as f64).collect(),
+            Cuts::Own(places) => places[index].clone(),
+        }
+    }
+
+    /// Largest distance of a curve from its segment, at segment middles (even cuts) or at seven points of each, millimeters.
     fn chord_error(&self) -> f64 {
-        let n = self.segments_per_fiber;
         self.fibers()
-            .map(|(yarn, strand)| {
-                let at = |k: f64| yarn.point(&self.shape, strand, yarn.length * k / n as f64);
-                (0..n)
-                    .map(|k| {
-                        let k = k as f64;
-                        let (a, m, b) = (at(k), at(k + 0.5), at(k + 1.0));
-                        let chord = (b - a).normalize();
-                        (m - a).cross(chord).length()
-                    })
-                    .fold(0.0, f64::max)
+            .enumerate()
+            .map(|(index, (yarn, strand))| {
+                let places = self.places_of(index, yarn.length);
+                let checks: &[f64] = match self.cuts {
+                    Cuts::Even(_) => &[0.5],
+                    Cuts::Own(_) => &CHECKS,
+                };
+                self.error_of(yarn, strand, &places, checks)
             })
             .reduce(|| 0.0, f64::max)
     }
+
+    /// Largest distance of one fiber from its segments, at the fractions `checks` of each.
+    fn error_of(&self, yarn: &Yarn, strand: &Strand, places: &[f64], checks: &[f64]) -> f64 {
+        let at = |s: f64| yarn.point(&self.shape, strand, s);
+        let ends = places.iter().skip(1).chain([&yarn.length]);
+        places
+            .iter()
+            .zip(ends)
+            .map(|(&from, &to)| {
+                let (a, chord) = (at(from), (at(to) - at(from)).normalize());
+                checks
+                    .iter()
+                    .map(|u| (at(from + u * (to - from)) - a).cross(chord).length())
+                    .fold(0.0, f64::max)
+            })
+            .fold(0.0, f64::max)
+    }
+
+    /// Cuts one fiber so that it stays within `limit` of its segments, and those are as few and as equal in error as the
+    /// curvature k tells: an arc of length l leaves its chord by k l^2 / 8, so cuts lie at equal steps of the integral
+    /// of sqrt(k / (8 limit)) over the arc.
+    fn places(&self, yarn: &Yarn, strand: &Strand, limit: f64) -> Vec<f64> {
+        let cells = (yarn.length / yarn.cell).round().max(1.0) as usize;
+        let n = FINE_STEPS * cells;
+        let step = yarn.length / n as f64;
+        let at = |k: f64| yarn.point(&self.shape, strand, step * k);
+        // The same integral, from how far each fine piece leaves its own chord.
+        let weights: Vec<f64> = (0..n)
+            .map(|k| {
+                let k = k as f64;
+                let (a, m, b) = (at(k), at(k + 0.5), at(k + 1.0));
+                let sagitta = (m - a).cross((b - a).normalize()).length();
+                (sagitta / limit).sqrt()
+            })
+            .collect();
+        // A tenth of the mean weight everywhere: a straight stretch is not cut less than ten times as often.
+        let least = 0.1 * weights.iter().sum::<f64>() / n as f64;
+        let total: f64 = weights.iter().map(|w| w.max(least)).sum();
+        let mut count = (total.ceil() as usize).max(MIN_SEGMENTS_PER_FIBER);
+        loop {
+            let places = spread(&weights, least, total, count, step);
+            let error = self.error_of(yarn, strand, &places, &CHECKS);
+            if error <= limit || count >= MAX_SEGMENTS {
+                return places;
+            }
+            count += (count as f64 * ((error / limit).sqrt() - 1.0).clamp(0.0, 1.0) * 0.5).ceil()
+                as usize
+                + 1;
+        }
+    }
+}
+
+/// Where along a segment its distance from the curve is checked.
+const CHECKS: [f64; 7] = [0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875];
+
+/// Pieces per weave cell on which a fiber's curvature is measured.
+const FINE_STEPS: usize = 64;
+
+/// `count` places at equal steps of the sum of `weights` (each at least `least`), which belong to pieces of length `step`.
+fn spread(weights: &[f64], least: f64, total: f64, count: usize, step: f64) -> Vec<f64> {
+    let mut places = Vec::with_capacity(count);
+    let (mut sum, mut piece) = (0.0, 0);
+    for k in 0..count {
+        let wanted = total * k as f64 / count as f64;
+        while piece + 1 < weights.len() && sum + weights[piece].max(least) <= wanted {
+            sum += weights[piece].max(least);
+            piece += 1;
+        }
+        let within = (wanted - sum) / weights[piece].max(least);
+        places.push(step * (piece as f64 + within.clamp(0.0, 1.0)));
+    }
+    places
 }
 
 impl Swatch {
     fn segment_count(&self) -> usize {
         self.systems
             .iter()
-            .map(|s| {
-                s.yarns
-                    .len()
-                    .saturating_mul(s.shape.fibers as usize)
-                    .saturating_mul(s.segments_per_fiber)
-            })
+            .map(WovenSystem::segment_count)
             .fold(0, usize::saturating_add)
     }
 
@@ -315,7 +435,7 @@ impl Swatch {
             "the tile would have {count} segments: expected at most {MAX_SEGMENTS}"
         ))
         .with_hint(
-            "fewer fibers or repeats, or longer segments ([segments] length_mm, chord_error_um)",
+            "fewer fibers or repeats, or longer segments ([segments] length_mm, chord_error_um, tolerance_um)",
         ))
     }
 
@@ -323,18 +443,17 @@ impl Swatch {
     fn refine(&mut self, limit: f64) -> Result<()> {
         for index in 0..2 {
             let cells = self.systems[index].yarns[0].length / self.systems[index].yarns[0].cell;
-            self.systems[index].segments_per_fiber = 8 * cells.round() as usize;
+            let mut count = 8 * cells.round() as usize;
             loop {
+                self.systems[index].cuts = Cuts::Even(count);
                 self.check_count()?;
-                let system = &mut self.systems[index];
-                let error = system.chord_error();
+                let error = self.systems[index].chord_error();
                 if error <= limit {
                     break;
                 }
                 // The error falls with the square of the count; 1.02 so that the end is reached.
                 let factor = 1.02 * (error / limit).sqrt();
-                let wanted = (system.segments_per_fiber as f64 * factor).ceil();
-                system.segments_per_fiber = wanted.min(u32::MAX.into()) as usize;
+                count = (count as f64 * factor).ceil().min(u32::MAX.into()) as usize;
             }
         }
         Ok(())
@@ -345,14 +464,14 @@ impl Swatch {
     pub(crate) fn tile(&self) -> FiberTile {
         let mut segments = Vec::with_capacity(self.segment_count());
         for (index, system) in self.systems.iter().enumerate() {
-            let n = system.segments_per_fiber;
             let curves: Vec<Vec<DVec3>> = system
                 .fibers()
-                .map(|(yarn, strand)| {
-                    let mut points: Vec<DVec3> = (0..n)
-                        .map(|k| {
-                            yarn.point(&system.shape, strand, yarn.length * k as f64 / n as f64)
-                        })
+                .enumerate()
+                .map(|(fiber, (yarn, strand))| {
+                    let mut points: Vec<DVec3> = system
+                        .places_of(fiber, yarn.length)
+                        .into_iter()
+                        .map(|s| yarn.point(&system.shape, strand, s))
                         .collect();
                     points.push(points[0] + yarn.axis * yarn.length);
                     points

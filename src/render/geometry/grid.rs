@@ -106,6 +106,7 @@ impl Grid {
     }
 
     fn fill(mut self, counts: &[u32]) -> Result<Self> {
+        self.gather_neighbors();
         let mut starts = Vec::with_capacity(counts.len() + 1);
         let mut sum = 0;
         starts.push(sum);
@@ -133,19 +134,14 @@ impl Grid {
         let radius = capsule.radius() + PAD * extent.max_element();
         let half = Vec3::from(capsule.half());
         let (start, axis) = (Vec3::from(capsule.middle()) - half, 2.0 * half);
-        let bounds = [
-            start.min(start + axis) - radius - low,
-            start.max(start + axis) + radius - low,
-        ];
-        let [first, last] = bounds.map(|p| {
-            [0, 1, 2].map(|k| ((p[k] * self.per_side[k]) as i32).clamp(0, self.count[k] - 1))
-        });
+        let first = self.box_at(start.min(start + axis) - radius);
+        let last = self.box_at(start.max(start + axis) + radius);
         for z in first[2]..=last[2] {
             for y in first[1]..=last[1] {
                 for x in first[0]..=last[0] {
                     let corner = low + side * Vec3::new(x as f32, y as f32, z as f32);
                     if near_box(start, axis, corner, corner + side, radius) {
-                        visit(((z * self.count[1] + y) * self.count[0] + x) as usize);
+                        visit(self.number([x, y, z]) as usize);
                     }
                 }
             }
@@ -162,8 +158,8 @@ impl Grid {
         meter: &mut impl Meter,
     ) -> (f32, u32) {
         let (mut x, mut y, mut z) = (self.enter(ray, 0), self.enter(ray, 1), self.enter(ray, 2));
-        let mut at = (z.index * self.count[1] + y.index) * self.count[0] + x.index;
-        let strides = [1, self.count[0], self.count[0] * self.count[1]];
+        let mut at = self.number([x.index, y.index, z.index]);
+        let strides = [self.count[2], self.count[2] * self.count[0], 1];
         let steps = [
             strides[0] * x.step,
             strides[1] * y.step,
@@ -219,6 +215,31 @@ impl Grid {
             NO_CAPSULE
         };
         (distance, capsule)
+    }
+
+    /// A box's number: columns of boxes over each other lie together, as cloth is thin.
+    #[inline(always)]
+    fn number(&self, [x, y, z]: [i32; 3]) -> i32 {
+        (y * self.count[0] + x) * self.count[2] + z
+    }
+
+    /// Brings capsules that are neighbors in space together in memory, so that a ray through a large tile needs few
+    /// pages: in columns, and those along a Z-curve.
+    fn gather_neighbors(&mut self) {
+        let key = |capsule: &Capsule| {
+            let [x, y, z] = self.box_at(Vec3::from(capsule.middle())).map(|i| i as u64);
+            (spread_bits(y) << 1 | spread_bits(x)) << 16 | z
+        };
+        let mut keyed: Vec<(u64, Capsule)> = self.capsules.iter().map(|c| (key(c), *c)).collect();
+        keyed.sort_by_key(|(key, _)| *key);
+        self.capsules = keyed.into_iter().map(|(_, capsule)| capsule).collect();
+    }
+
+    /// The box around a point, or the nearest one.
+    fn box_at(&self, point: Vec3) -> [i32; 3] {
+        [0, 1, 2].map(|k| {
+            (((point[k] - self.low[k]) * self.per_side[k]) as i32).clamp(0, self.count[k] - 1)
+        })
     }
 
     /// Where a ray stands along one axis at its origin.
@@ -277,6 +298,15 @@ impl Along {
         self.wall += if across { self.wall_step } else { 0.0 };
         self.wall_at = super::capsules::fused::<FUSED>(self.wall, self.per_wall, self.at_zero);
     }
+}
+
+/// The low 16 bits, each with a zero above it.
+fn spread_bits(i: u64) -> u64 {
+    let i = i & 0xffff;
+    let i = (i | i << 8) & 0x00ff_00ff;
+    let i = (i | i << 4) & 0x0f0f_0f0f;
+    let i = (i | i << 2) & 0x3333_3333;
+    (i | i << 1) & 0x5555_5555
 }
 
 /// Whether the segment comes within `radius` of the box; in doubt yes.
