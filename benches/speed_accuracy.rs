@@ -8,7 +8,7 @@
 //! CPU seconds to 1 % are `cpu_s (error / 1 %)^2`, pilots included, of the actual error where there are several runs. A
 //! path's cost includes its derivatives, and pilots count as time but not as paths.
 //!
-//! `--quick`: one run of about ten CPU seconds each, stated errors only. Otherwise `--steps` efforts (4) with `--runs` runs
+//! `--quick`: one run of 3 to 15 CPU seconds each, stated errors only. Otherwise `--steps` efforts (4) with `--runs` runs
 //! (4) each, kept in `benches/runs/`; `--chart` draws them to `docs/charts/`, `--from FILE` draws an earlier run's instead.
 //! With a Python that has Mitsuba in `GONIOFIT_MITSUBA`, `tests/peer/mitsuba/compare.py` adds its rows for model `chiang`.
 //!
@@ -52,7 +52,7 @@ const TAU: f64 = 0.02;
 /// Efforts of a full run, cheapest first, and of a quick one.
 const FAST: [f64; 4] = [0.08, 0.04, 0.02, 0.01];
 const BASIC: [u64; 4] = [4096, 16384, 65536, 262_144];
-const QUICK: (f64, u64) = (0.03, 65536);
+const QUICK: (f64, u64) = (0.03, 16384);
 
 /// One renderer on one material at one effort.
 #[derive(Serialize, Deserialize, Clone)]

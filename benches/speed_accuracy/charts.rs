@@ -47,7 +47,8 @@ fn materials(results: &Results, file: &Path) {
         &results.date[..10]
     );
     let body = whole.titled(&title, (FONT, 17)).unwrap();
-    for (area, name) in body.split_evenly((n_rows, columns)).iter().zip(names) {
+    let mut panels = Vec::new();
+    for name in names {
         let mine: Vec<&Row> = results.rows.iter().filter(|r| r.fabric == name).collect();
         let mut series = Vec::new();
         for (k, renderer) in distinct(mine.iter().map(|r| r.renderer.as_str()))
@@ -79,7 +80,11 @@ fn materials(results: &Results, file: &Path) {
                 points: range.map(|s| (s, 1.0)).to_vec(),
             });
         }
-        panel(area, name, ("CPU s", "error, %"), &series, true);
+        panels.push((name.to_owned(), series));
+    }
+    let axes = Axes::around("CPU s", "error, %", &panels);
+    for (area, (name, series)) in (body.split_evenly((n_rows, columns)).iter()).zip(&panels) {
+        panel(area, name, &axes, series, true);
     }
     body.present().unwrap();
 }
@@ -97,7 +102,7 @@ fn configurations(results: &Results, file: &Path) {
     let size = (260 * columns as u32, 215 * n_rows as u32 + 80);
     let whole = SVGBackend::new(file, size).into_drawing_area();
     whole.fill(&WHITE).unwrap();
-    let title = "Error of each configuration, %, against CPU seconds of all 16 together: fast (full), basic (faint)";
+    let title = "Stated error of each configuration, %, against CPU seconds of all 16 together: fast (full), basic (faint)";
     let body = whole.titled(title, (FONT, 17)).unwrap();
     let (legend, body) = body.split_vertically(26);
     let names = distinct(with.iter().map(|r| r.fabric.as_str()));
@@ -111,17 +116,16 @@ fn configurations(results: &Results, file: &Path) {
             .draw(&Text::new((*name).to_owned(), (x + 10, 5), (FONT, 14)))
             .unwrap();
     }
-    for (i, area) in (0..first.configurations.len()).zip(body.split_evenly((n_rows, columns))) {
+    let mut panels = Vec::new();
+    for (i, c) in first.configurations.iter().enumerate() {
         let mut series = Vec::new();
         for (k, name) in names.iter().enumerate() {
             for renderer in ["basic", "fast"] {
                 let rows = with
                     .iter()
                     .filter(|r| r.fabric == *name && r.renderer == renderer);
-                let error = |r: &Row| {
-                    let c = &r.configurations[i];
-                    100.0 * c.error_actual.unwrap_or(c.error_stated)
-                };
+                // Stated: the scatter of a few runs says little about a single configuration.
+                let error = |r: &Row| 100.0 * r.configurations[i].error_stated;
                 series.push(Series {
                     name: String::new(),
                     color: COLORS[k % COLORS.len()].mix(if renderer == "fast" {
@@ -134,8 +138,11 @@ fn configurations(results: &Results, file: &Path) {
                 });
             }
         }
-        let title = format!("configuration {}", first.configurations[i].config);
-        panel(&area, &title, ("", ""), &series, false);
+        panels.push((format!("configuration {}", c.config), series));
+    }
+    let axes = Axes::around("", "", &panels);
+    for (area, (title, series)) in (body.split_evenly((n_rows, columns)).iter()).zip(&panels) {
+        panel(area, title, &axes, series, false);
     }
     body.present().unwrap();
 }
@@ -166,33 +173,43 @@ fn rays(from: &Path, file: &Path) {
         .collect();
     let whole = SVGBackend::new(file, (620, 400)).into_drawing_area();
     whole.fill(&WHITE).unwrap();
-    let title = "Bounce rays, one core";
-    panel(
-        &whole,
-        title,
-        ("segments", "million rays per CPU s"),
-        &series,
-        true,
-    );
+    let panels = [("Bounce rays, one core".to_owned(), series)];
+    let axes = Axes::around("segments", "million rays per CPU s", &panels);
+    panel(&whole, &panels[0].0, &axes, &panels[0].1, true);
     whole.present().unwrap();
 }
 
-/// A chart with logarithmic axes.
-fn panel(area: &Area<'_>, title: &str, axes: (&str, &str), series: &[Series], legend: bool) {
-    let points = || series.iter().flat_map(|s| s.points.iter());
-    let x = range(points().map(|p| p.0));
-    let y = range(points().map(|p| p.1));
+/// Logarithmic axes that all panels of a chart share.
+struct Axes<'a> {
+    names: [&'a str; 2],
+    x: std::ops::Range<f64>,
+    y: std::ops::Range<f64>,
+}
+
+impl<'a> Axes<'a> {
+    fn around(x: &'a str, y: &'a str, panels: &[(String, Vec<Series>)]) -> Self {
+        let points = || panels.iter().flat_map(|p| &p.1).flat_map(|s| &s.points);
+        Self {
+            names: [x, y],
+            x: range(points().map(|p| p.0)),
+            y: range(points().map(|p| p.1)),
+        }
+    }
+}
+
+fn panel(area: &Area<'_>, title: &str, axes: &Axes<'_>, series: &[Series], legend: bool) {
+    let [x_name, y_name] = axes.names;
     let mut chart = ChartBuilder::on(area)
         .caption(title, (FONT, 15))
         .margin(8)
-        .x_label_area_size(if axes.0.is_empty() { 20 } else { 36 })
-        .y_label_area_size(if axes.1.is_empty() { 34 } else { 50 })
-        .build_cartesian_2d(x.log_scale(), y.log_scale())
+        .x_label_area_size(if x_name.is_empty() { 20 } else { 36 })
+        .y_label_area_size(if y_name.is_empty() { 34 } else { 50 })
+        .build_cartesian_2d(axes.x.clone().log_scale(), axes.y.clone().log_scale())
         .unwrap();
     chart
         .configure_mesh()
-        .x_desc(axes.0)
-        .y_desc(axes.1)
+        .x_desc(x_name)
+        .y_desc(y_name)
         .label_style((FONT, 12))
         .light_line_style(BLACK.mix(0.05))
         .bold_line_style(BLACK.mix(0.15))

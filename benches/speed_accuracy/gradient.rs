@@ -1,7 +1,7 @@
 //! What derivatives cost: the same paths with and without them.
 //!
-//! Without: a model with no parameters whose function is evaluated through `Scattering::importance`, which at colors above
-//! zero is the same number without derivatives (but with a sampling density, so this side is a little too slow).
+//! Without: a model with no parameters whose function is evaluated through `Scattering::importance`, which for all but very
+//! small colors is the same number without derivatives (but with a sampling density, so this side is a little too slow).
 
 use goniofit::base::{Result, Unwatched};
 use goniofit::fabric::Fabric;
@@ -24,7 +24,8 @@ pub(super) struct Cost {
     cpu_s_with: f64,
     cpu_s_without: f64,
     pub(super) gradient_cost: f64,
-    /// Largest relative difference of a mean: zero when the paths were the same.
+    /// Largest relative difference of a mean: zero when the paths were the same. Not zero for Silk, whose green of 0.008
+    /// is followed as if it were brighter, so that the paths' rules differ a little.
     means_apart: f64,
 }
 
