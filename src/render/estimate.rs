@@ -12,7 +12,7 @@ use super::scene::FiberScene;
 use super::{Effort, Estimate, Estimates, Request, relative_error_weight, weighted_rms};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
-use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS, Scattering};
+use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS, Parameters, Scattering};
 use crate::session::Configuration;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -127,10 +127,10 @@ impl Visitor for Summation {
 }
 
 /// Configurations that share camera paths.
-struct Group {
+pub(super) struct Group {
     toward_camera: DVec3,
     /// Indices into the request's configurations.
-    members: Vec<usize>,
+    pub(super) members: Vec<usize>,
     lamps: Vec<Lamp>,
 }
 
@@ -163,7 +163,7 @@ const AIM: f64 = 0.9;
 const MAX_PILOTS: u64 = 6;
 
 /// One round of paths over all groups.
-struct Round<'a> {
+pub(super) struct Round<'a> {
     scene: &'a FiberScene,
     scattering: &'a dyn Scattering,
     rows: usize,
@@ -177,75 +177,95 @@ struct Round<'a> {
     stage_name: &'a str,
 }
 
+/// Camera paths of one group with a random stream of their own: what standard errors are made from.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Batch {
+    pub(super) group: usize,
+    /// Counts within the group.
+    pub(super) number: u64,
+    pub(super) paths: u64,
+}
+
 /// Mean, its squared standard error, and the same for the derivatives.
 #[derive(Debug, Clone, Copy, Default)]
-struct Moments {
+pub(super) struct Moments {
     mean: Sums,
     variance: Sums,
 }
 
 impl Round<'_> {
     fn run(&self, n_configurations: usize, watch: &dyn Watch) -> Result<Vec<Moments>> {
-        let batches: Vec<u64> = self
-            .paths
-            .iter()
-            .map(|n| (n / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1))
-            .collect();
-        let tasks: Vec<(usize, u64)> = batches
-            .iter()
-            .enumerate()
-            .flat_map(|(g, &n)| (0..n).map(move |b| (g, b)))
-            .collect();
-        let (done, total) = (AtomicU64::new(0), self.paths.iter().sum::<u64>());
-        let results: Vec<Option<Vec<Sums>>> = tasks
-            .par_iter()
-            .map(|&(g, b)| {
-                if watch.cancelled() {
-                    return None;
-                }
-                let n = batch_size(self.paths[g], batches[g], b);
-                let sums = self.batch(g, b, n);
-                watch.progress(
-                    self.stage_name,
-                    done.fetch_add(n, Ordering::Relaxed) + n,
-                    total,
-                );
-                Some(sums)
-            })
-            .collect();
-        let results: Vec<Vec<Sums>> = results
-            .into_iter()
-            .collect::<Option<_>>()
-            .ok_or_else(interrupted)?;
-
+        let results = self.batches(watch, |batch| {
+            let mut sums = Summation::new(self.rows, self.groups[batch.group].members.len());
+            self.follow(&batch, &mut sums, |_| {});
+            Ok(sums.lamps)
+        })?;
         let mut moments = vec![Moments::default(); n_configurations];
-        let mut rest = results.as_slice();
         for (g, group) in self.groups.iter().enumerate() {
-            let (mine, others) = rest.split_at(batches[g] as usize);
-            rest = others;
             for (lamp, &member) in group.members.iter().enumerate() {
-                let sizes =
-                    (0..batches[g]).map(|b| batch_size(self.paths[g], batches[g], b) as f64);
-                moments[member] = combine(mine.iter().map(|b| &b[lamp]).zip(sizes), self.rows);
+                let mine = results.iter().filter(|(batch, _)| batch.group == g);
+                let sums = mine.map(|(batch, sums)| (&sums[lamp], batch.paths as f64));
+                moments[member] = combine(sums, self.rows);
             }
         }
         Ok(moments)
     }
 
-    fn batch(&self, g: usize, batch: u64, n: u64) -> Vec<Sums> {
+    /// What `each` makes of every batch of paths, in a fixed order.
+    pub(super) fn batches<T: Send>(
+        &self,
+        watch: &dyn Watch,
+        each: impl Fn(Batch) -> Result<T> + Sync,
+    ) -> Result<Vec<(Batch, T)>> {
+        let tasks: Vec<Batch> = (0..self.groups.len())
+            .flat_map(|group| {
+                let paths = self.paths[group];
+                let count = (paths / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1);
+                (0..count).map(move |number| Batch {
+                    group,
+                    number,
+                    paths: batch_size(paths, count, number),
+                })
+            })
+            .collect();
+        let (done, total) = (AtomicU64::new(0), self.paths.iter().sum::<u64>());
+        tasks
+            .par_iter()
+            .map(|&batch| {
+                if watch.cancelled() {
+                    return Err(interrupted());
+                }
+                let result = each(batch)?;
+                watch.progress(
+                    self.stage_name,
+                    done.fetch_add(batch.paths, Ordering::Relaxed) + batch.paths,
+                    total,
+                );
+                Ok((batch, result))
+            })
+            .collect()
+    }
+
+    /// Follows the paths of a batch; `ended` hears of the end of each.
+    pub(super) fn follow<V: Visitor>(
+        &self,
+        batch: &Batch,
+        visitor: &mut V,
+        mut ended: impl FnMut(&mut V),
+    ) {
+        let g = batch.group;
         let group = &self.groups[g];
         let worth: Vec<f64> = group.members.iter().map(|&m| self.worth[m]).collect();
         let stage = self.scene.stage(self.scattering, &group.lamps, &worth);
         let [seed, stream, round] = self.key;
-        let mut random = Random::keyed(&[seed, stream, round, g as u64, batch]);
-        let mut sums = Summation::new(self.rows, group.lamps.len());
-        for _ in 0..n {
+        let mut random = Random::keyed(&[seed, stream, round, g as u64, batch.number]);
+        for _ in 0..batch.paths {
             let through = self.scene.start(&mut random);
             let view = self.scene.options.view;
             let toward_camera = view.toward_camera(through, group.toward_camera);
-            stage.follow(through, toward_camera, &mut random, &mut sums);
+            stage.follow(through, toward_camera, &mut random, visitor);
+            ended(visitor);
         }
-        sums.lamps
     }
 }
 
@@ -255,7 +275,10 @@ fn batch_size(n: u64, batches: u64, b: u64) -> u64 {
 }
 
 /// Mean over all paths, and its variance from the scatter of the batches.
-fn combine<'a>(batches: impl Iterator<Item = (&'a Sums, f64)> + Clone, rows: usize) -> Moments {
+pub(super) fn combine<'a>(
+    batches: impl Iterator<Item = (&'a Sums, f64)> + Clone,
+    rows: usize,
+) -> Moments {
     let paths: f64 = batches.clone().map(|(_, n)| n).sum();
     let count = batches.clone().count() as f64;
     let one = |pick: &dyn Fn(&Sums) -> f64| {
@@ -279,37 +302,73 @@ fn combine<'a>(batches: impl Iterator<Item = (&'a Sums, f64)> + Clone, rows: usi
     moments
 }
 
-fn interrupted() -> Error {
+pub(super) fn interrupted() -> Error {
     Error::new("interrupted")
 }
 
-/// See [`super::Scene::estimate`].
-pub(super) fn estimate(
+/// Groups, path counts and roulette thresholds of a request, fixed by pilots.
+pub(super) struct Planned {
+    pub(super) groups: Vec<Group>,
+    /// Paths per group.
+    pub(super) paths: Vec<u64>,
+    /// Per configuration, see [`super::path::Stage::worth`].
+    worth: Vec<f64>,
+}
+
+impl Planned {
+    /// Camera paths of one configuration.
+    pub(super) fn paths_of(&self, configuration: usize) -> u64 {
+        let group = |g: &Group| g.members.contains(&configuration);
+        self.groups
+            .iter()
+            .position(group)
+            .map_or(0, |g| self.paths[g])
+    }
+
+    /// The paths that are kept.
+    pub(super) fn round<'a>(
+        &'a self,
+        scene: &'a FiberScene,
+        scattering: &'a dyn Scattering,
+        request: &Request<'_>,
+    ) -> Round<'a> {
+        Round {
+            scene,
+            scattering,
+            rows: scene.model.parameters().len(),
+            groups: &self.groups,
+            paths: self.paths.clone(),
+            worth: self.worth.clone(),
+            key: [request.seed, request.stream, MAX_PILOTS],
+            stage_name: "render",
+        }
+    }
+}
+
+/// Spends pilots on what has to be known before the paths that are kept.
+pub(super) fn plan(
     scene: &FiberScene,
+    scattering: &dyn Scattering,
     request: &Request<'_>,
     watch: &dyn Watch,
-) -> Result<Estimates> {
-    let clock = (std::time::Instant::now(), cpu_seconds());
+) -> Result<Planned> {
     let configurations = request.configurations;
     if configurations.is_empty() {
         return Err(Error::new(
             "nothing to render: the plan has no configurations",
         ));
     }
-    let scattering = scene.model.prepare(request.parameters)?;
     let groups = groups(scene, configurations);
-    let rows = scene.model.parameters().len();
-    let round = |number: u64, paths: Vec<u64>, worth: Vec<f64>, stage_name: &str| {
-        let key = [request.seed, request.stream, number];
+    let pilot = |number: u64, paths: Vec<u64>, worth: Vec<f64>| {
         let round = Round {
             scene,
-            scattering: &*scattering,
-            rows,
+            scattering,
+            rows: scene.model.parameters().len(),
             groups: &groups,
             paths,
             worth,
-            key,
-            stage_name,
+            key: [request.seed, request.stream, number],
+            stage_name: "pilot",
         };
         round
             .run(configurations.len(), watch)
@@ -318,10 +377,10 @@ pub(super) fn estimate(
 
     let planned = planned_paths(&request.effort, &groups)?;
     let pilot_paths = |n: u64| (n / 16).clamp(MIN_PATHS, 1024);
-    let pilot = planned.as_ref().map_or(vec![2048; groups.len()], |p| {
+    let first = planned.as_ref().map_or(vec![2048; groups.len()], |p| {
         p.iter().map(|&n| pilot_paths(n)).collect()
     });
-    let (mut moments, mut paths) = round(0, pilot, vec![0.0; configurations.len()], "pilot")?;
+    let (mut moments, mut paths) = pilot(0, first, vec![0.0; configurations.len()])?;
     let final_paths = match (&request.effort, planned) {
         (Effort::Accuracy(target), _) => {
             // Rare bright paths make a small pilot's variances too low: repeat with larger ones until a pilot is about an
@@ -332,7 +391,7 @@ pub(super) fn estimate(
                     break;
                 }
                 let larger = needed.iter().map(|n| (n / 8).max(MIN_PATHS)).collect();
-                (moments, paths) = round(number, larger, worth(&moments), "pilot")?;
+                (moments, paths) = pilot(number, larger, worth(&moments))?;
                 needed = paths_for_accuracy(&moments, &paths, &groups, AIM * target);
             }
             needed
@@ -340,32 +399,43 @@ pub(super) fn estimate(
         (_, Some(planned)) => planned,
         (_, None) => unreachable!("only an accuracy leaves the path counts open"),
     };
-    let (moments, paths) = round(MAX_PILOTS, final_paths, worth(&moments), "render")?;
+    Ok(Planned {
+        worth: worth(&moments),
+        paths: final_paths,
+        groups,
+    })
+}
 
-    let mut estimates = Vec::with_capacity(configurations.len());
-    for (index, (c, m)) in configurations.iter().zip(&moments).enumerate() {
-        let group = groups.iter().position(|g| g.members.contains(&index));
-        estimates.push(finished(
-            c,
-            m,
-            rows,
-            group.map_or(0, |g| paths[g]),
-            request,
-        )?);
-    }
+/// See [`super::Scene::estimate`].
+pub(super) fn estimate(
+    scene: &FiberScene,
+    request: &Request<'_>,
+    watch: &dyn Watch,
+) -> Result<Estimates> {
+    let clock = (std::time::Instant::now(), cpu_seconds());
+    let scattering = scene.model.prepare(request.parameters)?;
+    let planned = plan(scene, &*scattering, request, watch)?;
+    let round = planned.round(scene, &*scattering, request);
+    let moments = round.run(request.configurations.len(), watch)?;
+    let rows = round.rows;
+    let finish = |(index, c): (usize, &Configuration)| {
+        let paths = planned.paths_of(index);
+        finished(c.id, &moments[index], rows, paths, request.parameters)
+    };
+    let configurations = request.configurations.iter().enumerate();
     Ok(Estimates {
-        configurations: estimates,
+        configurations: configurations.map(finish).collect::<Result<_>>()?,
         cpu_s: cpu_seconds() - clock.1,
         wall_s: clock.0.elapsed().as_secs_f64(),
     })
 }
 
-fn finished(
-    c: &Configuration,
+pub(super) fn finished(
+    config: u32,
     m: &Moments,
     rows: usize,
     paths: u64,
-    request: &Request<'_>,
+    parameters: &Parameters,
 ) -> Result<Estimate> {
     let finite = m
         .mean
@@ -382,15 +452,15 @@ fn finished(
     if !finite {
         return Err(Error::new(format!(
             "configuration {}: the render is not finite (mean {:?}, variance {:?}) at {}",
-            c.id,
+            config,
             m.mean.value,
             m.variance.value,
-            request.parameters.to_json()
+            parameters.to_json()
         ))
         .with_hint("this is a fault of the model at these parameters; please report it with the parameters"));
     }
     Ok(Estimate {
-        config: c.id,
+        config,
         mean: m.mean.value,
         standard_error: m.variance.value.map(f64::sqrt),
         derivative: m.mean.derivative[..rows].to_vec(),
@@ -481,7 +551,7 @@ impl Estimates {
 }
 
 /// CPU time of this process so far, all threads, seconds.
-fn cpu_seconds() -> f64 {
+pub(super) fn cpu_seconds() -> f64 {
     let t = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     t.tv_sec as f64 + t.tv_nsec as f64 * 1e-9
 }

@@ -10,10 +10,14 @@ mod laws;
 mod light;
 mod path;
 mod picture;
+mod record;
 mod scene;
 
 pub use light::LightShape;
 pub use picture::TilePicture;
+pub use record::{
+    ConfigurationTrust, Recalled, RecordOptions, Recording, RecordingPair, TRUST_THRESHOLD, Trust,
+};
 pub use scene::{FiberScene, FiberSceneOptions, Plate, View};
 
 use crate::base::{Result, Watch};

@@ -1,0 +1,369 @@
+//! Recorded paths: means and derivatives at other parameters without tracing.
+//!
+//! Where a path goes depends on the parameters only through probabilities. So its contribution at other parameters is the
+//! product of `S` there over its events, times factors that stay: cosines, sampling densities, roulette. A [`Recording`]
+//! keeps per event what the model needs for `S` and that factor, about 20 bytes, and only of paths that reach a lamp.
+//! Near the parameters of the recording its estimates are as unbiased as traced ones, and as good; farther away they
+//! come from ever fewer paths that matter, and at last are wrong *without their standard errors saying so*. Hence every
+//! estimate brings its [`Trust`].
+
+mod recorder;
+mod replay;
+mod trust;
+
+pub use trust::{ConfigurationTrust, TRUST_THRESHOLD, Trust};
+
+use super::estimate::{self, cpu_seconds, interrupted};
+use super::scene::FiberScene;
+use super::{Estimates, Request, Scene};
+use crate::base::{Error, Result, Watch};
+use crate::scatter::{BatchEvaluate, Defensive, Model, OneByOne, Parameters, Scattering};
+use rayon::prelude::*;
+use recorder::{Page, Recorder};
+use replay::{LampSums, Replay};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// How paths are recorded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RecordOptions {
+    /// Share of the bounces that is drawn from wider lobes, in [0, 1): it costs a little accuracy at the recording's
+    /// parameters and extends the reach to larger widths.
+    pub defensive: f64,
+    /// How much wider these lobes are, see [`Model::widened`].
+    pub widening: f64,
+    /// Most memory the recording may take, bytes.
+    pub budget: u64,
+}
+
+impl Default for RecordOptions {
+    fn default() -> Self {
+        Self {
+            defensive: 0.1,
+            widening: 1.5,
+            budget: 2 << 30,
+        }
+    }
+}
+
+/// Some paths of one group.
+struct RecordedBatch {
+    group: usize,
+    paths: u64,
+    pages: Vec<Page>,
+}
+
+/// Paths of all configurations of a request, to be evaluated at other parameters.
+pub struct Recording {
+    model: &'static dyn Model,
+    parameters: Parameters,
+    /// Per configuration: its id and its camera paths.
+    configurations: Vec<(u32, u64)>,
+    /// Per group: its configurations, in the order of its lamps.
+    members: Vec<Vec<usize>>,
+    batches: Vec<RecordedBatch>,
+    /// Events whose factor is not known.
+    lost: u64,
+    /// Effective paths at the parameters of the recording.
+    reference: Vec<ConfigurationTrust>,
+}
+
+/// What a recording says at some parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recalled {
+    /// Means, derivatives and their standard errors from the scatter of the same batches as of a traced estimate.
+    pub estimates: Estimates,
+    /// Whether to believe them.
+    pub trust: Trust,
+}
+
+impl std::fmt::Debug for Recording {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Recording")
+            .field("parameters", &self.parameters)
+            .field("paths", &self.paths())
+            .field("events", &self.events())
+            .field("bytes", &self.bytes())
+            .finish_non_exhaustive()
+    }
+}
+
+impl FiberScene {
+    /// Traces the request's paths as [`Scene::estimate`] does and records them. Without defensive sampling they are the
+    /// same paths.
+    ///
+    /// # Errors
+    /// As [`Scene::estimate`]; when the options have no meaning; when the recording would exceed its budget.
+    pub fn record(
+        &self,
+        request: &Request<'_>,
+        options: &RecordOptions,
+        watch: &dyn Watch,
+    ) -> Result<Recording> {
+        check(options)?;
+        let at = self.model.prepare(request.parameters)?;
+        let kernel = kernel(&*at);
+        let widened = self.model.widened(request.parameters, options.widening);
+        let wide = self.model.prepare(&widened)?;
+        let mixture = Defensive {
+            at: &*at,
+            wide: &*wide,
+            share: options.defensive,
+        };
+        let sampled: &dyn Scattering = if options.defensive > 0.0 {
+            &mixture
+        } else {
+            &*at
+        };
+        let planned = estimate::plan(self, sampled, request, watch)?;
+        let round = planned.round(self, sampled, request);
+        let used = AtomicU64::new(0);
+        let recorded = round.batches(watch, |batch| {
+            let n_lamps = planned.groups[batch.group].members.len();
+            let mut recorder = Recorder::new(&*kernel, n_lamps);
+            round.follow(&batch, &mut recorder, Recorder::end_path);
+            let (pages, lost) = recorder.finish()?;
+            let bytes: usize = pages.iter().map(Page::bytes).sum();
+            let total = used.fetch_add(bytes as u64, Ordering::Relaxed) + bytes as u64;
+            if total > options.budget {
+                return Err(over_budget(options.budget, planned.paths.iter().sum()));
+            }
+            Ok((pages, lost))
+        })?;
+        let lost = recorded.iter().map(|(_, (_, lost))| lost).sum();
+        let batches = recorded
+            .into_iter()
+            .map(|(batch, (pages, _))| RecordedBatch {
+                group: batch.group,
+                paths: batch.paths,
+                pages,
+            });
+        let ids = request.configurations.iter().enumerate();
+        let mut recording = Recording {
+            model: self.model,
+            parameters: request.parameters.clone(),
+            configurations: ids.map(|(i, c)| (c.id, planned.paths_of(i))).collect(),
+            members: planned.groups.iter().map(|g| g.members.clone()).collect(),
+            batches: batches.collect(),
+            lost,
+            reference: Vec::new(),
+        };
+        recording.reference = recording.trust_at(&*kernel);
+        Ok(recording)
+    }
+}
+
+fn check(options: &RecordOptions) -> Result<()> {
+    if !(0.0..1.0).contains(&options.defensive) {
+        return Err(Error::new(format!(
+            "defensive share {}: expected 0 to below 1",
+            options.defensive
+        ))
+        .with_hint("0.1 draws a tenth of the bounces from wider lobes"));
+    }
+    if !(1.0..=10.0).contains(&options.widening) {
+        return Err(Error::new(format!(
+            "widening {}: expected 1 to 10",
+            options.widening
+        )));
+    }
+    Ok(())
+}
+
+fn over_budget(budget: u64, paths: u64) -> Error {
+    Error::new(format!(
+        "recording {paths} paths takes more than the budget of {:.3} MB",
+        budget as f64 * 1e-6
+    ))
+    .with_hint("record fewer paths, or allow more memory: a path takes about 100 to 300 bytes")
+}
+
+/// The model's kernel, or the one that serves all models.
+fn kernel(scattering: &dyn Scattering) -> Box<dyn BatchEvaluate + '_> {
+    match scattering.batch() {
+        Some(kernel) => kernel,
+        None => Box::new(OneByOne(scattering)),
+    }
+}
+
+impl Recording {
+    /// The parameters of the recording.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// Camera paths traced, of all groups.
+    pub fn paths(&self) -> u64 {
+        self.batches.iter().map(|b| b.paths).sum()
+    }
+
+    /// Events kept.
+    pub fn events(&self) -> u64 {
+        self.pages().map(|p| p.events() as u64).sum()
+    }
+
+    /// Memory taken, bytes.
+    pub fn bytes(&self) -> u64 {
+        self.pages().map(|p| p.bytes() as u64).sum()
+    }
+
+    fn pages(&self) -> impl Iterator<Item = &Page> {
+        self.batches.iter().flat_map(|b| &b.pages)
+    }
+
+    /// Means and derivatives at `parameters`, with standard errors from the scatter of batches, and whether to trust
+    /// them. The same on any number of threads.
+    ///
+    /// # Errors
+    /// When the parameters have no meaning for the model, or a number is not finite.
+    pub fn estimate(&self, parameters: &Parameters) -> Result<Recalled> {
+        self.recall(parameters, self.model.parameters().len())
+    }
+
+    /// As [`Recording::estimate`] without derivatives, in about half the time.
+    ///
+    /// # Errors
+    /// As [`Recording::estimate`].
+    pub fn means(&self, parameters: &Parameters) -> Result<Recalled> {
+        self.recall(parameters, 0)
+    }
+
+    fn recall(&self, parameters: &Parameters, rows: usize) -> Result<Recalled> {
+        let clock = (std::time::Instant::now(), cpu_seconds());
+        let scattering = self.model.prepare(parameters)?;
+        let sums = self.sums(&*kernel(&*scattering), rows);
+        let finish = |(index, &(id, paths)): (usize, &(u32, u64))| {
+            let (group, lamp) = self.lamp_of(index);
+            let mine = self
+                .batches
+                .iter()
+                .zip(&sums)
+                .filter(|(b, _)| b.group == group);
+            let batches = mine.map(|(b, sums)| (&sums[lamp].sums, b.paths as f64));
+            let moments = estimate::combine(batches, rows);
+            estimate::finished(id, &moments, rows, paths, parameters)
+        };
+        let configurations = self.configurations.iter().enumerate().map(finish);
+        let estimates = Estimates {
+            configurations: configurations.collect::<Result<_>>()?,
+            cpu_s: cpu_seconds() - clock.1,
+            wall_s: clock.0.elapsed().as_secs_f64(),
+        };
+        let now = self.trust_of(&sums);
+        Ok(Recalled {
+            estimates,
+            trust: Trust::new(now, &self.reference, self.lost),
+        })
+    }
+
+    /// Sums of every batch, per lamp of its group.
+    fn sums(&self, kernel: &dyn BatchEvaluate, rows: usize) -> Vec<Vec<LampSums>> {
+        let one = |replay: &mut Replay, batch: &RecordedBatch| {
+            let mut lamps = vec![LampSums::default(); self.members[batch.group].len()];
+            for page in &batch.pages {
+                replay.add(page, kernel, rows, &mut lamps);
+            }
+            lamps
+        };
+        let batches = self.batches.par_iter();
+        batches.map_init(Replay::default, one).collect()
+    }
+
+    fn lamp_of(&self, configuration: usize) -> (usize, usize) {
+        let lamp = |m: &Vec<usize>| m.iter().position(|&i| i == configuration);
+        let found = self
+            .members
+            .iter()
+            .enumerate()
+            .find_map(|(g, m)| Some((g, lamp(m)?)));
+        found.unwrap_or((0, 0))
+    }
+
+    fn trust_at(&self, kernel: &dyn BatchEvaluate) -> Vec<ConfigurationTrust> {
+        self.trust_of(&self.sums(kernel, 0))
+    }
+
+    fn trust_of(&self, sums: &[Vec<LampSums>]) -> Vec<ConfigurationTrust> {
+        let of = |(index, &(id, _)): (usize, &(u32, u64))| {
+            let (group, lamp) = self.lamp_of(index);
+            let mine = self
+                .batches
+                .iter()
+                .zip(sums)
+                .filter(|(b, _)| b.group == group);
+            ConfigurationTrust::new(id, mine.map(|(_, sums)| &sums[lamp]))
+        };
+        self.configurations.iter().enumerate().map(of).collect()
+    }
+}
+
+/// Two recordings that share no random number, as a scene: even streams are answered from the first, odd ones from the
+/// second, so that a pair of renders (`fit::RenderPair`) made from it is independent. What a request says of effort and
+/// seed is already decided.
+#[derive(Debug)]
+pub struct RecordingPair {
+    recordings: [Recording; 2],
+}
+
+impl Recording {
+    /// Two recordings on streams `2 stream` and `2 stream + 1` of the request's seed, each with the whole effort; the
+    /// budget is for each.
+    ///
+    /// # Errors
+    /// As [`FiberScene::record`].
+    pub fn pair(
+        scene: &FiberScene,
+        request: &Request<'_>,
+        options: &RecordOptions,
+        watch: &dyn Watch,
+    ) -> Result<RecordingPair> {
+        let one = |which: u64| {
+            let request = Request {
+                stream: 2 * request.stream + which,
+                ..request.clone()
+            };
+            scene.record(&request, options, watch)
+        };
+        Ok(RecordingPair {
+            recordings: [one(0)?, one(1)?],
+        })
+    }
+}
+
+impl RecordingPair {
+    /// The two recordings.
+    pub fn recordings(&self) -> &[Recording; 2] {
+        &self.recordings
+    }
+
+    /// The lesser trust of the two, per configuration.
+    ///
+    /// # Errors
+    /// As [`Recording::means`].
+    pub fn trust(&self, parameters: &Parameters) -> Result<Trust> {
+        let [a, b] = &self.recordings;
+        Ok(a.means(parameters)?
+            .trust
+            .lesser(b.means(parameters)?.trust))
+    }
+}
+
+impl Scene for RecordingPair {
+    fn model(&self) -> &'static dyn Model {
+        self.recordings[0].model
+    }
+
+    fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates> {
+        if watch.cancelled() {
+            return Err(interrupted());
+        }
+        let recording = &self.recordings[(request.stream % 2) as usize];
+        let recorded = recording.configurations.iter().map(|(id, _)| *id);
+        if !recorded.eq(request.configurations.iter().map(|c| c.id)) {
+            return Err(
+                Error::new("the recording has other configurations than asked for")
+                    .with_hint("record the same list of configurations, in the same order"),
+            );
+        }
+        Ok(recording.estimate(request.parameters)?.estimates)
+    }
+}

@@ -1,0 +1,183 @@
+//! Sums of recorded paths at other parameters.
+//!
+//! Forward along the tree the throughput of every node, `T = T(parent) S factor`; at its ends the contributions; backward
+//! the light `W` that reaches each lamp through a node. `W` of a path's start is what the path adds to the lamp's mean,
+//! and `sum_events W (dS/dt)/S` is its derivative: the chain rule in reverse, so that along the tree three numbers per
+//! event and lamp are carried instead of one per parameter.
+
+use super::super::estimate::Sums;
+use super::recorder::{Events, Page};
+use crate::scatter::{BatchEvaluate, BatchValues, CHANNELS};
+
+/// A color in four lanes; the last means nothing.
+type Color = [f32; 4];
+
+const WHITE: Color = [1.0; 4];
+const DARK: Color = [0.0; 4];
+
+/// What a batch of recorded paths adds up to for one lamp.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct LampSums {
+    pub(super) sums: Sums,
+    /// Sum over paths of the square of what each adds.
+    pub(super) square: [f64; CHANNELS],
+    /// The most that one path adds.
+    pub(super) largest: [f64; CHANNELS],
+}
+
+/// Evaluates pages one after another; keeps its arrays.
+#[derive(Default)]
+pub(super) struct Replay {
+    bounces: BatchValues,
+    connections: BatchValues,
+    /// Per node.
+    throughput: Vec<Color>,
+    /// Per node, of one lamp.
+    light: Vec<Color>,
+    /// Per event, what is multiplied with the scores: `[channel][event]`.
+    carried: [Vec<f32>; CHANNELS],
+}
+
+impl Replay {
+    /// Adds the page to `lamps`; derivatives of `rows` parameters, or none for 0.
+    pub(super) fn add(
+        &mut self,
+        page: &Page,
+        kernel: &dyn BatchEvaluate,
+        rows: usize,
+        lamps: &mut [LampSums],
+    ) {
+        evaluate(kernel, &page.bounces, rows, &mut self.bounces);
+        for &(node, weight) in &page.reflections {
+            for c in 0..CHANNELS {
+                self.bounces.value[c][node as usize] = weight[c];
+            }
+        }
+        self.forward(page);
+        for (lamp, sums) in lamps.iter_mut().enumerate() {
+            self.light.clear();
+            self.light.resize(self.throughput.len(), DARK);
+            self.connect(&page.connections[lamp], kernel, rows, sums);
+            for &(parent, factor) in &page.arrivals[lamp] {
+                let throughput = self.throughput[parent as usize];
+                let light = &mut self.light[parent as usize];
+                (0..CHANNELS).for_each(|c| light[c] += throughput[c] * factor[c]);
+            }
+            self.backward(page);
+            for path in &self.light[..page.starts] {
+                for c in 0..CHANNELS {
+                    let x = f64::from(path[c]);
+                    sums.sums.value[c] += x;
+                    sums.square[c] += x * x;
+                    sums.largest[c] = sums.largest[c].max(x);
+                }
+            }
+            if rows > 0 {
+                self.differentiate_bounces(page, rows, sums);
+            }
+        }
+    }
+
+    fn forward(&mut self, page: &Page) {
+        self.throughput.clear();
+        self.throughput.resize(page.starts, WHITE);
+        self.throughput.reserve(page.bounces.len());
+        let value = self
+            .bounces
+            .value
+            .each_ref()
+            .map(|v| &v[..page.bounces.len()]);
+        for (b, &parent) in page.bounces.parent.iter().enumerate() {
+            let before = self.throughput[parent as usize];
+            let after = [
+                before[0] * value[0][b],
+                before[1] * value[1][b],
+                before[2] * value[2][b],
+                0.0,
+            ];
+            self.throughput.push(after);
+        }
+    }
+
+    /// Light and derivatives of the side branches to one lamp.
+    fn connect(
+        &mut self,
+        events: &Events,
+        kernel: &dyn BatchEvaluate,
+        rows: usize,
+        sums: &mut LampSums,
+    ) {
+        evaluate(kernel, events, rows, &mut self.connections);
+        let n = events.len();
+        let value = self.connections.value.each_mut().map(|v| &mut v[..n]);
+        for (e, &parent) in events.parent.iter().enumerate() {
+            let throughput = self.throughput[parent as usize];
+            let light = &mut self.light[parent as usize];
+            for c in 0..CHANNELS {
+                let x = throughput[c] * value[c][e];
+                value[c][e] = x;
+                light[c] += x;
+            }
+        }
+        for (row, score) in self.connections.score.iter().enumerate().take(rows) {
+            for c in 0..CHANNELS {
+                sums.sums.derivative[row][c] += dot(&self.connections.value[c], &score[c]);
+            }
+        }
+    }
+
+    /// Gathers the light of every node's branches in the node.
+    fn backward(&mut self, page: &Page) {
+        let (starts, bounces) = (page.starts, page.bounces.len());
+        let light = &mut self.light[..starts + bounces];
+        for (b, &parent) in page.bounces.parent.iter().enumerate().rev() {
+            let branch = light[starts + b];
+            let trunk = &mut light[parent as usize];
+            (0..4).for_each(|c| trunk[c] += branch[c]);
+        }
+    }
+
+    fn differentiate_bounces(&mut self, page: &Page, rows: usize, sums: &mut LampSums) {
+        for &(node, _) in &page.reflections {
+            self.light[page.starts + node as usize] = DARK;
+        }
+        let light = &self.light[page.starts..];
+        for (c, carried) in self.carried.iter_mut().enumerate() {
+            carried.clear();
+            carried.extend(light.iter().map(|light| light[c]));
+        }
+        for (row, score) in self.bounces.score.iter().enumerate().take(rows) {
+            for c in 0..CHANNELS {
+                sums.sums.derivative[row][c] += dot(&self.carried[c], &score[c]);
+            }
+        }
+    }
+}
+
+/// `S` times the frozen factor, and scores.
+fn evaluate(kernel: &dyn BatchEvaluate, events: &Events, rows: usize, out: &mut BatchValues) {
+    out.resize(events.len(), rows);
+    if events.len() == 0 {
+        return;
+    }
+    let columns: Vec<&[f32]> = events.columns.iter().map(Vec::as_slice).collect();
+    kernel.evaluate(&columns, out);
+    for value in &mut out.value {
+        for (value, factor) in value.iter_mut().zip(&events.factor) {
+            *value *= factor;
+        }
+    }
+}
+
+/// Scalar product, in 16 sums of `f32` side by side: pages are short.
+fn dot(a: &[f32], b: &[f32]) -> f64 {
+    let mut sums = [0.0_f32; 16];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<16>(), b.as_chunks::<16>());
+    for (a, b) in a.iter().zip(b) {
+        for l in 0..16 {
+            sums[l] += a[l] * b[l];
+        }
+    }
+    let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    sums.iter().map(|&s| f64::from(s)).sum::<f64>() + f64::from(rest)
+}
