@@ -42,6 +42,10 @@ fn measure(paths: u64) {
     let n = 7.0 * paths as f64;
     let traced_us = 1e6 * traced.cpu_s / n;
     println!("tracing: {traced_us:.1} us per path with derivatives");
+    let moves: Vec<_> = moves(&parameters)
+        .into_iter()
+        .map(|(name, moved)| (name, trace(&moved, 2), moved))
+        .collect();
     for defensive in [0.0, 0.1] {
         let options = RecordOptions {
             defensive,
@@ -69,15 +73,22 @@ fn measure(paths: u64) {
             );
         }
         println!(
-            "move                          least ratio   rms z of means   worst z   rms error %"
+            "move               least ratio  largest share  rms z  worst z  rms error %  (se %)"
         );
-        for (name, moved) in moves(&parameters) {
-            let recalled = recording.estimate(&moved).unwrap();
-            let (rms, worst, error) = compare(&recalled.estimates, &trace(&moved, 2));
+        for (name, fresh, moved) in &moves {
+            let recalled = recording.estimate(moved).unwrap();
+            let largest = recalled
+                .trust
+                .configurations
+                .iter()
+                .map(|c| c.largest_share);
+            let (rms, worst, error) = compare(&recalled.estimates, fresh);
             println!(
-                "{name:<30} {:10.2} {rms:16.2} {worst:9.1} {:12.1}",
+                "{name:<20} {:9.2} {:14.2} {rms:6.2} {worst:8.1} {:12.1} {:7.1}",
                 recalled.trust.least_ratio(),
-                100.0 * error
+                largest.fold(0.0, f64::max),
+                100.0 * error,
+                100.0 * recalled.estimates.weighted_rms_error()
             );
         }
     }

@@ -17,11 +17,12 @@ use super::estimate::{self, cpu_seconds, interrupted};
 use super::scene::FiberScene;
 use super::{Estimates, Request, Scene};
 use crate::base::{Error, Result, Watch};
-use crate::scatter::{BatchEvaluate, Defensive, Model, OneByOne, Parameters, Scattering};
+use crate::scatter::{BatchEvaluate, CHANNELS, Defensive, Model, OneByOne, Parameters, Scattering};
 use rayon::prelude::*;
 use recorder::{Page, Recorder};
 use replay::{LampSums, Replay};
 use std::sync::atomic::{AtomicU64, Ordering};
+use trust::Shares;
 
 /// How paths are recorded.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,8 +64,9 @@ pub struct Recording {
     batches: Vec<RecordedBatch>,
     /// Events whose factor is not known.
     lost: u64,
-    /// Effective paths at the parameters of the recording.
-    reference: Vec<ConfigurationTrust>,
+    /// Per group and lamp: inverses of the means at the parameters of the recording, so that no channel outshines the others
+    /// where paths are weighed against each other.
+    weights: Vec<Vec<[f32; CHANNELS]>>,
 }
 
 /// What a recording says at some parameters.
@@ -138,6 +140,7 @@ impl FiberScene {
                 pages,
             });
         let ids = request.configurations.iter().enumerate();
+        let ones = |g: &estimate::Group| vec![[1.0; CHANNELS]; g.members.len()];
         let mut recording = Recording {
             model: self.model,
             parameters: request.parameters.clone(),
@@ -145,9 +148,9 @@ impl FiberScene {
             members: planned.groups.iter().map(|g| g.members.clone()).collect(),
             batches: batches.collect(),
             lost,
-            reference: Vec::new(),
+            weights: planned.groups.iter().map(ones).collect(),
         };
-        recording.reference = recording.trust_at(&*kernel);
+        recording.weigh(&*kernel);
         Ok(recording)
     }
 }
@@ -231,36 +234,37 @@ impl Recording {
         let clock = (std::time::Instant::now(), cpu_seconds());
         let scattering = self.model.prepare(parameters)?;
         let sums = self.sums(&*kernel(&*scattering), rows);
-        let finish = |(index, &(id, paths)): (usize, &(u32, u64))| {
-            let (group, lamp) = self.lamp_of(index);
-            let mine = self
-                .batches
-                .iter()
-                .zip(&sums)
-                .filter(|(b, _)| b.group == group);
-            let batches = mine.map(|(b, sums)| (&sums[lamp].sums, b.paths as f64));
-            let moments = estimate::combine(batches, rows);
+        let estimate = |(index, &(id, paths)): (usize, &(u32, u64))| {
+            let mine = self.of_configuration(index, &sums);
+            let moments = estimate::combine(mine.map(|(sums, n)| (&sums.sums, n)), rows);
             estimate::finished(id, &moments, rows, paths, parameters)
         };
-        let configurations = self.configurations.iter().enumerate().map(finish);
-        let estimates = Estimates {
-            configurations: configurations.collect::<Result<_>>()?,
-            cpu_s: cpu_seconds() - clock.1,
-            wall_s: clock.0.elapsed().as_secs_f64(),
+        let trust = |(index, &(id, _)): (usize, &(u32, u64))| {
+            let mine = self.of_configuration(index, &sums);
+            let shares = mine.fold(Shares::default(), |all, (sums, _)| all.merge(&sums.shares));
+            shares.trust(id)
         };
-        let now = self.trust_of(&sums);
+        let configurations = || self.configurations.iter().enumerate();
         Ok(Recalled {
-            estimates,
-            trust: Trust::new(now, &self.reference, self.lost),
+            estimates: Estimates {
+                configurations: configurations().map(estimate).collect::<Result<_>>()?,
+                cpu_s: cpu_seconds() - clock.1,
+                wall_s: clock.0.elapsed().as_secs_f64(),
+            },
+            trust: Trust {
+                configurations: configurations().map(trust).collect(),
+                lost: self.lost,
+            },
         })
     }
 
     /// Sums of every batch, per lamp of its group.
     fn sums(&self, kernel: &dyn BatchEvaluate, rows: usize) -> Vec<Vec<LampSums>> {
         let one = |replay: &mut Replay, batch: &RecordedBatch| {
-            let mut lamps = vec![LampSums::default(); self.members[batch.group].len()];
+            let weights = &self.weights[batch.group];
+            let mut lamps = vec![LampSums::default(); weights.len()];
             for page in &batch.pages {
-                replay.add(page, kernel, rows, &mut lamps);
+                replay.add(page, kernel, rows, weights, &mut lamps);
             }
             lamps
         };
@@ -268,31 +272,41 @@ impl Recording {
         batches.map_init(Replay::default, one).collect()
     }
 
-    fn lamp_of(&self, configuration: usize) -> (usize, usize) {
-        let lamp = |m: &Vec<usize>| m.iter().position(|&i| i == configuration);
-        let found = self
-            .members
-            .iter()
-            .enumerate()
-            .find_map(|(g, m)| Some((g, lamp(m)?)));
-        found.unwrap_or((0, 0))
+    /// The sums that belong to a configuration, with the paths of each.
+    fn of_configuration<'a>(
+        &'a self,
+        index: usize,
+        sums: &'a [Vec<LampSums>],
+    ) -> impl Iterator<Item = (&'a LampSums, f64)> + Clone {
+        let lamp = |members: &Vec<usize>| members.iter().position(|&m| m == index);
+        let found = self.members.iter().map(lamp);
+        let found: Vec<Option<usize>> = found.collect();
+        let batches = self.batches.iter().zip(sums);
+        batches.filter_map(move |(b, sums)| Some((&sums[found[b.group]?], b.paths as f64)))
     }
 
-    fn trust_at(&self, kernel: &dyn BatchEvaluate) -> Vec<ConfigurationTrust> {
-        self.trust_of(&self.sums(kernel, 0))
-    }
-
-    fn trust_of(&self, sums: &[Vec<LampSums>]) -> Vec<ConfigurationTrust> {
-        let of = |(index, &(id, _)): (usize, &(u32, u64))| {
-            let (group, lamp) = self.lamp_of(index);
-            let mine = self
-                .batches
-                .iter()
-                .zip(sums)
-                .filter(|(b, _)| b.group == group);
-            ConfigurationTrust::new(id, mine.map(|(_, sums)| &sums[lamp]))
+    /// Keeps what every path contributes at the parameters of the recording.
+    fn weigh(&mut self, kernel: &dyn BatchEvaluate) {
+        let sums = self.sums(kernel, 0);
+        for (group, members) in self.members.iter().enumerate() {
+            for (lamp, &member) in members.iter().enumerate() {
+                let mine = self.of_configuration(member, &sums);
+                let total = mine.fold([0.0; CHANNELS], |all, (sums, _)| {
+                    std::array::from_fn(|c| all[c] + sums.sums.value[c])
+                });
+                let paths = self.configurations[member].1 as f64;
+                let inverse = |x: f64| if x > 0.0 { (paths / x) as f32 } else { 0.0 };
+                self.weights[group][lamp] = total.map(inverse);
+            }
+        }
+        let weights = &self.weights;
+        let weigh = |replay: &mut Replay, batch: &mut RecordedBatch| {
+            for page in &mut batch.pages {
+                page.before = replay.brightness(page, kernel, &weights[batch.group]);
+            }
         };
-        self.configurations.iter().enumerate().map(of).collect()
+        let batches = self.batches.par_iter_mut();
+        batches.for_each_init(Replay::default, weigh);
     }
 }
 

@@ -20,6 +20,8 @@ pub(super) struct Page {
     pub(super) connections: Vec<Events>,
     /// Per lamp: nodes after which the path itself arrived there, and the factor.
     pub(super) arrivals: Vec<Vec<(u32, [f32; CHANNELS])>>,
+    /// Per lamp and start: what the path contributed at the parameters of the recording; empty until that is known.
+    pub(super) before: Vec<Vec<f32>>,
 }
 
 /// Uses of the scattering function.
@@ -101,7 +103,7 @@ impl Page {
 
     pub(super) fn bytes(&self) -> usize {
         let lists = self.arrivals.iter().map(Vec::len).sum::<usize>() + self.reflections.len();
-        let lamp = size_of::<Events>() + size_of::<Vec<(u32, [f32; CHANNELS])>>();
+        let lamp = size_of::<Events>() + 2 * size_of::<Vec<f32>>() + 4 * self.starts;
         size_of::<Self>()
             + self.bounces.bytes()
             + self.connections.iter().map(Events::bytes).sum::<usize>()

@@ -7,6 +7,7 @@
 
 use super::super::estimate::Sums;
 use super::recorder::{Events, Page};
+use super::trust::Shares;
 use crate::scatter::{BatchEvaluate, BatchValues, CHANNELS};
 
 /// A color in four lanes; the last means nothing.
@@ -19,10 +20,7 @@ const DARK: Color = [0.0; 4];
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct LampSums {
     pub(super) sums: Sums,
-    /// Sum over paths of the square of what each adds.
-    pub(super) square: [f64; CHANNELS],
-    /// The most that one path adds.
-    pub(super) largest: [f64; CHANNELS],
+    pub(super) shares: Shares,
 }
 
 /// Evaluates pages one after another; keeps its arrays.
@@ -39,14 +37,51 @@ pub(super) struct Replay {
 }
 
 impl Replay {
-    /// Adds the page to `lamps`; derivatives of `rows` parameters, or none for 0.
+    /// Adds the page to `lamps`; derivatives of `rows` parameters, or none for 0. `weights` make one brightness of the
+    /// channels, per lamp.
     pub(super) fn add(
         &mut self,
         page: &Page,
         kernel: &dyn BatchEvaluate,
         rows: usize,
+        weights: &[[f32; CHANNELS]],
         lamps: &mut [LampSums],
     ) {
+        self.begin(page, kernel, rows);
+        for (lamp, sums) in lamps.iter_mut().enumerate() {
+            self.illuminate(page, lamp, kernel, rows, sums);
+            let before = page.before.get(lamp);
+            for (start, path) in self.light[..page.starts].iter().enumerate() {
+                (0..CHANNELS).for_each(|c| sums.sums.value[c] += f64::from(path[c]));
+                let x = brightness(path, &weights[lamp]);
+                sums.shares.push(x, before.map_or(x, |b| b[start]));
+            }
+            if rows > 0 {
+                self.differentiate_bounces(page, rows, sums);
+            }
+        }
+    }
+
+    /// The brightness of every path of the page at every lamp.
+    pub(super) fn brightness(
+        &mut self,
+        page: &Page,
+        kernel: &dyn BatchEvaluate,
+        weights: &[[f32; CHANNELS]],
+    ) -> Vec<Vec<f32>> {
+        self.begin(page, kernel, 0);
+        let one = |(lamp, weights): (usize, &[f32; CHANNELS])| {
+            self.illuminate(page, lamp, kernel, 0, &mut LampSums::default());
+            let starts = &self.light[..page.starts];
+            starts
+                .iter()
+                .map(|path| brightness(path, weights))
+                .collect()
+        };
+        weights.iter().enumerate().map(one).collect()
+    }
+
+    fn begin(&mut self, page: &Page, kernel: &dyn BatchEvaluate, rows: usize) {
         evaluate(kernel, &page.bounces, rows, &mut self.bounces);
         for &(node, weight) in &page.reflections {
             for c in 0..CHANNELS {
@@ -54,28 +89,26 @@ impl Replay {
             }
         }
         self.forward(page);
-        for (lamp, sums) in lamps.iter_mut().enumerate() {
-            self.light.clear();
-            self.light.resize(self.throughput.len(), DARK);
-            self.connect(&page.connections[lamp], kernel, rows, sums);
-            for &(parent, factor) in &page.arrivals[lamp] {
-                let throughput = self.throughput[parent as usize];
-                let light = &mut self.light[parent as usize];
-                (0..CHANNELS).for_each(|c| light[c] += throughput[c] * factor[c]);
-            }
-            self.backward(page);
-            for path in &self.light[..page.starts] {
-                for c in 0..CHANNELS {
-                    let x = f64::from(path[c]);
-                    sums.sums.value[c] += x;
-                    sums.square[c] += x * x;
-                    sums.largest[c] = sums.largest[c].max(x);
-                }
-            }
-            if rows > 0 {
-                self.differentiate_bounces(page, rows, sums);
-            }
+    }
+
+    /// The light of one lamp at every node, and the derivatives of the side branches.
+    fn illuminate(
+        &mut self,
+        page: &Page,
+        lamp: usize,
+        kernel: &dyn BatchEvaluate,
+        rows: usize,
+        sums: &mut LampSums,
+    ) {
+        self.light.clear();
+        self.light.resize(self.throughput.len(), DARK);
+        self.connect(&page.connections[lamp], kernel, rows, sums);
+        for &(parent, factor) in &page.arrivals[lamp] {
+            let throughput = self.throughput[parent as usize];
+            let light = &mut self.light[parent as usize];
+            (0..CHANNELS).for_each(|c| light[c] += throughput[c] * factor[c]);
         }
+        self.backward(page);
     }
 
     fn forward(&mut self, page: &Page) {
@@ -152,6 +185,10 @@ impl Replay {
             }
         }
     }
+}
+
+fn brightness(light: &Color, weights: &[f32; CHANNELS]) -> f32 {
+    light[0] * weights[0] + light[1] * weights[1] + light[2] * weights[2]
 }
 
 /// `S` times the frozen factor, and scores.

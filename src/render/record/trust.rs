@@ -1,8 +1,5 @@
 //! How far a recording may be believed away from its parameters.
 
-use super::replay::LampSums;
-use crate::scatter::CHANNELS;
-
 /// The least [`ConfigurationTrust::ratio`] at which estimates have been found right within their standard errors.
 pub const TRUST_THRESHOLD: f64 = 0.5;
 
@@ -11,51 +8,60 @@ pub const TRUST_THRESHOLD: f64 = 0.5;
 pub struct ConfigurationTrust {
     /// The configuration's id.
     pub config: u32,
-    /// Effective number of paths per channel, `(sum x)^2 / sum x^2` over what each path contributes (Kish 1965).
-    pub effective: [f64; CHANNELS],
-    /// That relative to the same number at the parameters of the recording; of the channels the least. Above 1 where
-    /// contributions have become more equal; 0 where nothing was seen.
-    pub ratio: f64,
-    /// The largest path's share of the mean; of the channels the most.
+    /// Effective number of paths, `(sum x)^2 / sum x^2` over what each path contributes, channels together (Kish 1965).
+    pub effective: f64,
+    /// The largest path's share of the mean.
     pub largest_share: f64,
+    /// `exp(-D)`, with `D` the divergence (Kullback and Leibler 1951) of the paths' shares in the mean from their shares at
+    /// the parameters of the recording: 1 there, and roughly the part of the recorded paths that still counts, as
+    /// importance sampling needs `exp(D)` times as many (Chatterjee and Diaconis 2018). 0 where nothing was seen.
+    pub ratio: f64,
 }
 
-impl ConfigurationTrust {
-    /// From the sums of a configuration's batches, with ratio 1.
-    pub(super) fn new<'a>(config: u32, batches: impl Iterator<Item = &'a LampSums>) -> Self {
-        let (mut sum, mut square) = ([0.0; CHANNELS], [0.0; CHANNELS]);
-        let mut largest = [0.0_f64; CHANNELS];
-        for batch in batches {
-            for c in 0..CHANNELS {
-                sum[c] += batch.sums.value[c];
-                square[c] += batch.square[c];
-                largest[c] = largest[c].max(batch.largest[c]);
-            }
-        }
-        let seen = |c: usize| square[c] > 0.0;
-        let share = |c: usize| if seen(c) { largest[c] / sum[c] } else { 1.0 };
-        Self {
-            config,
-            effective: std::array::from_fn(|c| {
-                if seen(c) {
-                    sum[c] * sum[c] / square[c]
-                } else {
-                    0.0
-                }
-            }),
-            ratio: 1.0,
-            largest_share: (0..CHANNELS).map(share).fold(0.0, f64::max),
-        }
+/// Sums over paths of what they contribute, channels together.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Shares {
+    sum: f64,
+    square: f64,
+    largest: f64,
+    /// Sum of the same at the parameters of the recording.
+    before: f64,
+    /// `sum x ln(x / before)`.
+    divergence: f64,
+}
+
+impl Shares {
+    /// A path contributes `x`, and contributed `before`.
+    pub(super) fn push(&mut self, x: f32, before: f32) {
+        // Below the least normal number a contribution counts as that number: only its logarithm is used.
+        let log = (x.max(f32::MIN_POSITIVE) / before.max(f32::MIN_POSITIVE)).ln();
+        let x = f64::from(x);
+        self.sum += x;
+        self.square += x * x;
+        self.largest = self.largest.max(x);
+        self.before += f64::from(before);
+        self.divergence += x * f64::from(log);
     }
 
-    fn relative_to(self, reference: &Self) -> Self {
-        let ratio = |c: usize| match reference.effective[c] {
-            0.0 => 0.0,
-            before => self.effective[c] / before,
-        };
-        Self {
-            ratio: (0..CHANNELS).map(ratio).fold(f64::INFINITY, f64::min),
-            ..self
+    pub(super) fn merge(mut self, other: &Self) -> Self {
+        self.sum += other.sum;
+        self.square += other.square;
+        self.largest = self.largest.max(other.largest);
+        self.before += other.before;
+        self.divergence += other.divergence;
+        self
+    }
+
+    pub(super) fn trust(&self, config: u32) -> ConfigurationTrust {
+        let seen = self.sum > 0.0 && self.before > 0.0;
+        let divergence = self.divergence / self.sum - (self.sum / self.before).ln();
+        let of = |x: f64| if seen { x } else { 0.0 };
+        ConfigurationTrust {
+            config,
+            effective: of(self.sum * self.sum / self.square),
+            largest_share: if seen { self.largest / self.sum } else { 1.0 },
+            // Rounding may make the divergence of equal shares negative.
+            ratio: of((-divergence).exp().min(1.0)),
         }
     }
 }
@@ -71,18 +77,6 @@ pub struct Trust {
 }
 
 impl Trust {
-    pub(super) fn new(
-        now: Vec<ConfigurationTrust>,
-        reference: &[ConfigurationTrust],
-        lost: u64,
-    ) -> Self {
-        let pairs = now.into_iter().zip(reference);
-        Self {
-            configurations: pairs.map(|(now, before)| now.relative_to(before)).collect(),
-            lost,
-        }
-    }
-
     /// The least ratio of all configurations.
     pub fn least_ratio(&self) -> f64 {
         let ratios = self.configurations.iter().map(|c| c.ratio);
@@ -97,10 +91,11 @@ impl Trust {
     /// Per configuration the one of two recordings that is trusted less.
     pub(super) fn lesser(self, other: Self) -> Self {
         let pairs = self.configurations.into_iter().zip(other.configurations);
+        let lesser = |(a, b): (ConfigurationTrust, ConfigurationTrust)| {
+            if b.ratio < a.ratio { b } else { a }
+        };
         Self {
-            configurations: pairs
-                .map(|(a, b)| if b.ratio < a.ratio { b } else { a })
-                .collect(),
+            configurations: pairs.map(lesser).collect(),
             lost: self.lost + other.lost,
         }
     }
