@@ -12,22 +12,22 @@ pub const MAX_COLUMNS: usize = 6;
 /// What is kept of an event: the first [`BatchEvaluate::columns`] of these numbers.
 pub type Footprint = [f32; MAX_COLUMNS];
 
-/// Values and scores of many events, one array per quantity.
+/// Values and slopes of many events, one array per quantity.
 #[derive(Debug, Clone, Default)]
 pub struct BatchValues {
     /// `value[channel][event]`: `S`, 1/sr.
     pub value: [Vec<f32>; CHANNELS],
-    /// `score[row][channel][event]`: `(dS/dt)/S` by the model's parameter `row` (angles per radian); 0 where `S` is 0.
-    pub score: Vec<[Vec<f32>; CHANNELS]>,
+    /// `slope[row][channel][event]`: `dS/dt` by the model's parameter `row` (angles per radian).
+    pub slope: Vec<[Vec<f32>; CHANNELS]>,
 }
 
 impl BatchValues {
-    /// Makes room for `events` events, with the scores of `rows` parameters (0: values alone).
+    /// Makes room for `events` events, with the slopes of `rows` parameters (0: values alone).
     pub fn resize(&mut self, events: usize, rows: usize) {
         self.value.iter_mut().for_each(|v| v.resize(events, 0.0));
-        self.score.resize_with(rows, Default::default);
-        let scores = self.score.iter_mut().flatten();
-        scores.for_each(|v| v.resize(events, 0.0));
+        self.slope.resize_with(rows, Default::default);
+        let slopes = self.slope.iter_mut().flatten();
+        slopes.for_each(|v| v.resize(events, 0.0));
     }
 }
 
@@ -41,7 +41,7 @@ pub trait BatchEvaluate: Send + Sync {
     /// What to keep of an event; see [`Scattering`] for the arguments.
     fn footprint(&self, wi: DVec3, wo: DVec3, h: f64) -> Footprint;
 
-    /// Evaluates the events whose footprints are `columns[k][event]`. `out` has been resized to them; scores are written
+    /// Evaluates the events whose footprints are `columns[k][event]`. `out` has been resized to them; slopes are written
     /// when it has rows for them.
     fn evaluate(&self, columns: &[&[f32]], out: &mut BatchValues);
 }
@@ -70,12 +70,8 @@ impl BatchEvaluate for OneByOne<'_> {
             let e = self.0.evaluate(wi, wo, at(4));
             for c in 0..CHANNELS {
                 out.value[c][n] = e.value[c] as f32;
-                for (row, score) in out.score.iter_mut().enumerate() {
-                    score[c][n] = if e.value[c] > 0.0 {
-                        (e.derivative[row][c] / e.value[c]) as f32
-                    } else {
-                        0.0
-                    };
+                for (row, slope) in out.slope.iter_mut().enumerate() {
+                    slope[c][n] = e.derivative[row][c] as f32;
                 }
             }
         }

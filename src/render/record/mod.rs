@@ -381,3 +381,114 @@ impl Scene for RecordingPair {
         Ok(recording.estimate(request.parameters)?.estimates)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::estimate::Summation;
+    use super::super::path::{Event, Visitor};
+    use super::*;
+    use crate::math::Random;
+    use crate::scatter::{Evaluation, Khungurn};
+    use glam::DVec3;
+
+    /// Both visitors see the same path.
+    struct Both<'a>(Summation, Recorder<'a>);
+
+    impl Visitor for Both<'_> {
+        fn bounce(&mut self, depth: usize, event: Event<'_>) {
+            self.0.bounce(depth, Event { ..event });
+            self.1.bounce(depth, event);
+        }
+        fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]) {
+            self.0.reflect(depth, weight);
+            self.1.reflect(depth, weight);
+        }
+        fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>) {
+            self.0.connect(depth, lamp, Event { ..event });
+            self.1.connect(depth, lamp, event);
+        }
+        fn arrive(&mut self, depth: usize, lamp: usize, factor: [f64; CHANNELS]) {
+            self.0.arrive(depth, lamp, factor);
+            self.1.arrive(depth, lamp, factor);
+        }
+    }
+
+    /// A path that splits up to three times at every event, with connections, arrivals and reflections in between.
+    fn grow(depth: usize, at: &dyn Scattering, random: &mut Random, both: &mut Both<'_>) {
+        let wo = DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
+        let event = |random: &mut Random, use_it: &mut dyn FnMut(Event<'_>)| {
+            let factor = 0.3 + random.uniform();
+            let Some(sampled) = at.sample(wo, 0.0, random) else {
+                return;
+            };
+            let evaluation: Evaluation = sampled.evaluation;
+            use_it(Event {
+                wi: sampled.wi,
+                wo,
+                h: 0.0,
+                weight: evaluation.value.map(|s| s * factor / evaluation.value[1]),
+                evaluation: &evaluation,
+            });
+        };
+        for lamp in 0..2 {
+            if random.uniform() < 0.3 {
+                event(random, &mut |e| both.connect(depth, lamp, e));
+            }
+        }
+        let branches = (random.uniform() * 3.0) as usize;
+        for _ in 0..branches.min(6_usize.saturating_sub(depth)) {
+            if random.uniform() < 0.2 {
+                both.reflect(depth, [0.3, 0.5, 0.9]);
+            } else {
+                event(random, &mut |e| both.bounce(depth, e));
+            }
+            if random.uniform() < 0.2 {
+                both.arrive(depth + 1, 1, [0.1, 0.2, 0.3]);
+            }
+            grow(depth + 1, at, random, both);
+        }
+    }
+
+    #[test]
+    fn branching_paths_give_their_traced_sums() {
+        let parameters = Parameters::defaults(&Khungurn);
+        let at = Khungurn.prepare(&parameters).unwrap();
+        let kernel = kernel(&*at);
+        let mut both = Both(Summation::new(5, 2), Recorder::new(&*kernel, 2));
+        let mut random = Random::keyed(&[8]);
+        for _ in 0..2000 {
+            grow(0, &*at, &mut random, &mut both);
+            both.1.end_path();
+        }
+        let (pages, lost) = both.1.finish().unwrap();
+        assert!(pages.len() > 3 && lost == 0);
+        let mut sums = [LampSums::default(); 2];
+        let mut wrong = [LampSums::default(); 2];
+        let mut replay = Replay::default();
+        for mut page in pages {
+            let ones = [[1.0; CHANNELS]; 2];
+            replay.add(&page, &*kernel, 5, &ones, &mut sums);
+            // Negative control: every seventh bounce continues another path's start.
+            let links = page.bounces.parent.iter_mut().step_by(7);
+            links.for_each(|link| *link = 0);
+            replay.add(&page, &*kernel, 5, &ones, &mut wrong);
+        }
+        for lamp in 0..2 {
+            let (traced, told) = (&both.0.lamps[lamp], &sums[lamp].sums);
+            for c in 0..CHANNELS {
+                let error = told.value[c] / traced.value[c] - 1.0;
+                assert!(error.abs() < 1e-6, "lamp {lamp} channel {c}: {error}");
+                for row in 0..5 {
+                    let (a, b) = (told.derivative[row][c], traced.derivative[row][c]);
+                    let scale = b.abs().max(traced.value[c]);
+                    assert!(
+                        (a - b).abs() < 1e-5 * scale,
+                        "lamp {lamp} row {row}: {a} {b}"
+                    );
+                }
+            }
+        }
+        let fault = wrong[0].sums.value[0] / both.0.lamps[0].value[0] - 1.0;
+        assert!(fault.abs() > 1e-6, "{fault}");
+    }
+}

@@ -1,9 +1,9 @@
 //! Sums of recorded paths at other parameters.
 //!
-//! Forward along the tree the throughput of every node, `T = T(parent) S factor`; at its ends the contributions; backward
-//! the light `W` that reaches each lamp through a node. `W` of a path's start is what the path adds to the lamp's mean,
-//! and `sum_events W (dS/dt)/S` is its derivative: the chain rule in reverse, so that along the tree three numbers per
-//! event and lamp are carried instead of one per parameter.
+//! Forward along the tree goes the throughput of every node, `T = T(parent) S factor`; backward the light `L` that arrives
+//! at each node from a lamp, `L(parent) += S factor L`, which at a path's start is what the path adds to the lamp's mean.
+//! Then an event adds `T(parent) factor L dS/dt` to the derivative: the chain rule in reverse, so that along the tree three
+//! numbers per event and lamp are carried instead of three per parameter, and nothing is divided by an `S` near zero.
 
 use super::super::estimate::Sums;
 use super::recorder::{Events, Page};
@@ -32,7 +32,7 @@ pub(super) struct Replay {
     throughput: Vec<Color>,
     /// Per node, of one lamp.
     light: Vec<Color>,
-    /// Per event, what is multiplied with the scores: `[channel][event]`.
+    /// Per event, what is multiplied with the slopes: `[channel][event]`.
     carried: [Vec<f32>; CHANNELS],
 }
 
@@ -57,7 +57,7 @@ impl Replay {
                 sums.shares.push(x, before.map_or(x, |b| b[start]));
             }
             if rows > 0 {
-                self.differentiate_bounces(page, rows, sums);
+                self.differentiate_bounces(page, sums);
             }
         }
     }
@@ -104,9 +104,8 @@ impl Replay {
         self.light.resize(self.throughput.len(), DARK);
         self.connect(&page.connections[lamp], kernel, rows, sums);
         for &(parent, factor) in &page.arrivals[lamp] {
-            let throughput = self.throughput[parent as usize];
             let light = &mut self.light[parent as usize];
-            (0..CHANNELS).for_each(|c| light[c] += throughput[c] * factor[c]);
+            (0..CHANNELS).for_each(|c| light[c] += factor[c]);
         }
         self.backward(page);
     }
@@ -141,48 +140,52 @@ impl Replay {
         sums: &mut LampSums,
     ) {
         evaluate(kernel, events, rows, &mut self.connections);
-        let n = events.len();
-        let value = self.connections.value.each_mut().map(|v| &mut v[..n]);
+        let value = self
+            .connections
+            .value
+            .each_ref()
+            .map(|v| &v[..events.len()]);
         for (e, &parent) in events.parent.iter().enumerate() {
-            let throughput = self.throughput[parent as usize];
             let light = &mut self.light[parent as usize];
-            for c in 0..CHANNELS {
-                let x = throughput[c] * value[c][e];
-                value[c][e] = x;
-                light[c] += x;
-            }
+            (0..CHANNELS).for_each(|c| light[c] += value[c][e]);
         }
-        for (row, score) in self.connections.score.iter().enumerate().take(rows) {
-            for c in 0..CHANNELS {
-                sums.sums.derivative[row][c] += dot(&self.connections.value[c], &score[c]);
+        if rows > 0 {
+            self.carried.iter_mut().for_each(Vec::clear);
+            for (&parent, factor) in events.parent.iter().zip(&events.factor) {
+                let throughput = &self.throughput[parent as usize];
+                (0..CHANNELS).for_each(|c| self.carried[c].push(throughput[c] * factor));
             }
+            add_slopes(&self.carried, &self.connections, sums);
         }
     }
 
-    /// Gathers the light of every node's branches in the node.
     fn backward(&mut self, page: &Page) {
-        let (starts, bounces) = (page.starts, page.bounces.len());
-        let light = &mut self.light[..starts + bounces];
+        let (starts, n) = (page.starts, page.bounces.len());
+        let value = self.bounces.value.each_ref().map(|v| &v[..n]);
+        let light = &mut self.light[..starts + n];
         for (b, &parent) in page.bounces.parent.iter().enumerate().rev() {
             let branch = light[starts + b];
             let trunk = &mut light[parent as usize];
-            (0..4).for_each(|c| trunk[c] += branch[c]);
+            (0..CHANNELS).for_each(|c| trunk[c] += value[c][b] * branch[c]);
         }
     }
 
-    fn differentiate_bounces(&mut self, page: &Page, rows: usize, sums: &mut LampSums) {
-        for &(node, _) in &page.reflections {
-            self.light[page.starts + node as usize] = DARK;
-        }
+    fn differentiate_bounces(&mut self, page: &Page, sums: &mut LampSums) {
         let light = &self.light[page.starts..];
-        for (c, carried) in self.carried.iter_mut().enumerate() {
-            carried.clear();
-            carried.extend(light.iter().map(|light| light[c]));
+        self.carried.iter_mut().for_each(Vec::clear);
+        let events = page.bounces.parent.iter().zip(&page.bounces.factor);
+        for ((&parent, factor), light) in events.zip(light) {
+            let throughput = &self.throughput[parent as usize];
+            (0..CHANNELS).for_each(|c| self.carried[c].push(throughput[c] * factor * light[c]));
         }
-        for (row, score) in self.bounces.score.iter().enumerate().take(rows) {
-            for c in 0..CHANNELS {
-                sums.sums.derivative[row][c] += dot(&self.carried[c], &score[c]);
-            }
+        add_slopes(&self.carried, &self.bounces, sums);
+    }
+}
+
+fn add_slopes(carried: &[Vec<f32>; CHANNELS], values: &BatchValues, sums: &mut LampSums) {
+    for (slope, sum) in values.slope.iter().zip(&mut sums.sums.derivative) {
+        for c in 0..CHANNELS {
+            sum[c] += dot(&carried[c], &slope[c]);
         }
     }
 }
@@ -191,7 +194,7 @@ fn brightness(light: &Color, weights: &[f32; CHANNELS]) -> f32 {
     light[0] * weights[0] + light[1] * weights[1] + light[2] * weights[2]
 }
 
-/// `S` times the frozen factor, and scores.
+/// `S` times the frozen factor, and slopes of `S`.
 fn evaluate(kernel: &dyn BatchEvaluate, events: &Events, rows: usize, out: &mut BatchValues) {
     out.resize(events.len(), rows);
     if events.len() == 0 {
