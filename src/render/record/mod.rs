@@ -7,15 +7,17 @@
 //! come from ever fewer paths that matter, and at last are wrong *without their standard errors saying so*. Hence every
 //! estimate brings its [`Trust`].
 
+mod pair;
 mod recorder;
 mod replay;
 mod trust;
 
+pub use pair::RecordingPair;
 pub use trust::{ConfigurationTrust, TRUST_THRESHOLD, Trust};
 
-use super::estimate::{self, cpu_seconds, interrupted};
+use super::estimate::{self, cpu_seconds};
 use super::scene::FiberScene;
-use super::{Estimates, Request, Scene};
+use super::{Estimates, Request};
 use crate::base::{Error, Result, Watch};
 use crate::scatter::{BatchEvaluate, CHANNELS, Defensive, Model, OneByOne, Parameters, Scattering};
 use rayon::prelude::*;
@@ -90,11 +92,11 @@ impl std::fmt::Debug for Recording {
 }
 
 impl FiberScene {
-    /// Traces the request's paths as [`Scene::estimate`] does and records them. Without defensive sampling they are the
+    /// Traces the request's paths as [`super::Scene::estimate`] does and records them. Without defensive sampling they are the
     /// same paths.
     ///
     /// # Errors
-    /// As [`Scene::estimate`]; when the options have no meaning; when the recording would exceed its budget.
+    /// As [`super::Scene::estimate`]; when the options have no meaning; when the recording would exceed its budget.
     pub fn record(
         &self,
         request: &Request<'_>,
@@ -307,78 +309,6 @@ impl Recording {
         };
         let batches = self.batches.par_iter_mut();
         batches.for_each_init(Replay::default, weigh);
-    }
-}
-
-/// Two recordings that share no random number, as a scene: even streams are answered from the first, odd ones from the
-/// second, so that a pair of renders (`fit::RenderPair`) made from it is independent. What a request says of effort and
-/// seed is already decided.
-#[derive(Debug)]
-pub struct RecordingPair {
-    recordings: [Recording; 2],
-}
-
-impl Recording {
-    /// Two recordings on streams `2 stream` and `2 stream + 1` of the request's seed, each with the whole effort; the
-    /// budget is for each.
-    ///
-    /// # Errors
-    /// As [`FiberScene::record`].
-    pub fn pair(
-        scene: &FiberScene,
-        request: &Request<'_>,
-        options: &RecordOptions,
-        watch: &dyn Watch,
-    ) -> Result<RecordingPair> {
-        let one = |which: u64| {
-            let request = Request {
-                stream: 2 * request.stream + which,
-                ..request.clone()
-            };
-            scene.record(&request, options, watch)
-        };
-        Ok(RecordingPair {
-            recordings: [one(0)?, one(1)?],
-        })
-    }
-}
-
-impl RecordingPair {
-    /// The two recordings.
-    pub fn recordings(&self) -> &[Recording; 2] {
-        &self.recordings
-    }
-
-    /// The lesser trust of the two, per configuration.
-    ///
-    /// # Errors
-    /// As [`Recording::means`].
-    pub fn trust(&self, parameters: &Parameters) -> Result<Trust> {
-        let [a, b] = &self.recordings;
-        Ok(a.means(parameters)?
-            .trust
-            .lesser(b.means(parameters)?.trust))
-    }
-}
-
-impl Scene for RecordingPair {
-    fn model(&self) -> &'static dyn Model {
-        self.recordings[0].model
-    }
-
-    fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates> {
-        if watch.cancelled() {
-            return Err(interrupted());
-        }
-        let recording = &self.recordings[(request.stream % 2) as usize];
-        let recorded = recording.configurations.iter().map(|(id, _)| *id);
-        if !recorded.eq(request.configurations.iter().map(|c| c.id)) {
-            return Err(
-                Error::new("the recording has other configurations than asked for")
-                    .with_hint("record the same list of configurations, in the same order"),
-            );
-        }
-        Ok(recording.estimate(request.parameters)?.estimates)
     }
 }
 

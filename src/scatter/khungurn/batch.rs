@@ -433,6 +433,6 @@ mod tests {
         }
         assert!(worst < 2e-7, "{worst}");
         assert!(exp::<false>(-90.0) == 0.0 && exp::<false>(f32::NEG_INFINITY) == 0.0);
-        assert!(exp::<false>(f32::NAN).is_nan() && exp::<true>(0.0) == 1.0);
+        assert!(exp::<false>(f32::NAN).is_nan() && (exp::<true>(0.0) - 1.0).abs() < 1e-9);
     }
 }
