@@ -2,7 +2,8 @@
 //!
 //! `cargo bench --bench record_speed [-- --quick]`: Khungurn's 16 configurations on `fabrics/bench_twill22.toml`, Gabardine.
 //! One thread. The floor is the larger of reading the record once from memory and its arithmetic at the speed of a loop
-//! of multiply-adds, both measured here. Absolute times depend on the machine and its load: compare within one run.
+//! of fused multiply-adds in the widest vectors, both measured here. Absolute times depend on the machine and its load:
+//! compare within one run.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use goniofit::base::Unwatched;
@@ -165,19 +166,49 @@ fn read_speed() -> f64 {
     8.0 * array.len() as f64 / best.fold(f64::INFINITY, f64::min)
 }
 
-/// Operations per second of independent multiplications and additions, as this build compiles them.
+/// Operations per second of independent multiplications and additions, in the widest instructions the kernel uses.
 fn multiply_add_speed() -> f64 {
-    let rounds = 1 << 20;
+    let rounds = 1 << 22;
     let best = (0..5).map(|_| {
         let start = Instant::now();
-        let mut sums = std::hint::black_box([1.0_f32; 128]);
-        for _ in 0..rounds {
-            for s in &mut sums {
-                *s = *s * 0.999 + 0.001;
-            }
-        }
+        let mut sums = std::hint::black_box([1.0_f32; 256]);
+        multiply_add(&mut sums, rounds);
         std::hint::black_box(sums);
         start.elapsed().as_secs_f64()
     });
-    2.0 * 128.0 * f64::from(rounds) / best.fold(f64::INFINITY, f64::min)
+    2.0 * 256.0 * f64::from(rounds) / best.fold(f64::INFINITY, f64::min)
+}
+
+fn multiply_add(sums: &mut [f32; 256], rounds: u32) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        // Only to measure what instructions just detected can do.
+        #[allow(unsafe_code)]
+        if is_x86_feature_detected!("avx512f") {
+            return unsafe { multiply_add_avx512(sums, rounds) };
+        }
+        #[allow(unsafe_code)]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            return unsafe { multiply_add_avx2(sums, rounds) };
+        }
+    }
+    for _ in 0..rounds {
+        sums.iter_mut().for_each(|s| *s = *s * 0.999 + 0.001);
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,fma")]
+fn multiply_add_avx512(sums: &mut [f32; 256], rounds: u32) {
+    for _ in 0..rounds {
+        sums.iter_mut().for_each(|s| *s = s.mul_add(0.999, 0.001));
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn multiply_add_avx2(sums: &mut [f32; 256], rounds: u32) {
+    for _ in 0..rounds {
+        sums.iter_mut().for_each(|s| *s = s.mul_add(0.999, 0.001));
+    }
 }

@@ -314,10 +314,10 @@ impl Recording {
 
 #[cfg(test)]
 mod tests {
-    use super::super::estimate::Summation;
-    use super::super::path::{Event, Visitor};
     use super::*;
     use crate::math::Random;
+    use crate::render::estimate::Summation;
+    use crate::render::path::{Event, Visitor};
     use crate::scatter::{Evaluation, Khungurn};
     use glam::DVec3;
 

@@ -1,9 +1,9 @@
 //! Two independent recordings for paired renders.
 
-use super::super::estimate::interrupted;
-use super::super::{Estimates, FiberScene, Request, Scene};
 use super::{RecordOptions, Recording, Trust};
 use crate::base::{Error, Result, Watch};
+use crate::render::estimate::interrupted;
+use crate::render::{Estimates, FiberScene, Request, Scene};
 use crate::scatter::{Model, Parameters};
 
 /// Two recordings that share no random number, as a scene: even streams are answered from the first, odd ones from the

@@ -1,7 +1,7 @@
 //! Turns the events of traced paths into pages: arrays of footprints with links to the events they continue.
 
-use super::super::path::{Event, Visitor};
 use crate::base::{Error, Result};
+use crate::render::path::{Event, Visitor};
 use crate::scatter::{BatchEvaluate, CHANNELS, Footprint};
 
 /// A page is closed after the path with which it reaches this many events: what one evaluation touches stays in cache.

@@ -5,9 +5,9 @@
 //! Then an event adds `T(parent) factor L dS/dt` to the derivative: the chain rule in reverse, so that along the tree three
 //! numbers per event and lamp are carried instead of three per parameter, and nothing is divided by an `S` near zero.
 
-use super::super::estimate::Sums;
 use super::recorder::{Events, Page};
 use super::trust::Shares;
+use crate::render::estimate::Sums;
 use crate::scatter::{BatchEvaluate, BatchValues, CHANNELS};
 
 /// A color in four lanes; the last means nothing.

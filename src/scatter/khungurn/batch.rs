@@ -5,9 +5,9 @@
 //! `tan(theta_i / 2)`. Against `KhungurnScattering::evaluate` in `f64`: 2e-6 relative within four widths of the lobes'
 //! peaks, growing as 1e-7 times the exponent beyond; `S` below 1e-38 times a lobe's peak is 0.
 
-use super::super::batch::{BatchEvaluate, BatchValues, Footprint};
 use super::{FiberAngles, KhungurnScattering, LongitudinalLobe};
 use crate::scatter::CHANNELS;
+use crate::scatter::batch::{BatchEvaluate, BatchValues, Footprint};
 use glam::DVec3;
 use std::f64::consts::TAU;
 
@@ -313,10 +313,10 @@ fn exp<const FMA: bool>(x: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::batch::OneByOne;
-    use super::super::{Khungurn, Parameters, Scattering};
     use super::*;
     use crate::math::Random;
+    use crate::scatter::batch::OneByOne;
+    use crate::scatter::{Khungurn, Parameters, Scattering};
 
     fn scattering(colors: [f64; 2], widths_deg: [f64; 3]) -> KhungurnScattering {
         let [c_r, c_tt] = colors;
