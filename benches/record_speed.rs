@@ -121,7 +121,7 @@ fn moves(at: &Parameters) -> Vec<(&'static str, Parameters)> {
         ("widths + 10 %", scaled(1.1, 0.0)),
         ("widths + 25 %", scaled(1.25, 0.0)),
         ("widths + 60 %", scaled(1.6, 0.0)),
-        ("widths - 25 %", scaled(0.8, 0.0)),
+        ("widths - 20 %", scaled(0.8, 0.0)),
         ("logit of colors + 1", scaled(1.0, 1.0)),
         ("logit of colors - 1", scaled(1.0, -1.0)),
     ]

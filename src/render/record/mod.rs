@@ -224,7 +224,7 @@ impl Recording {
         self.recall(parameters, self.model.parameters().len())
     }
 
-    /// As [`Recording::estimate`] without derivatives, in about half the time.
+    /// As [`Recording::estimate`] without derivatives, in about two thirds of the time.
     ///
     /// # Errors
     /// As [`Recording::estimate`].
