@@ -58,7 +58,7 @@ fn main() {
         });
         let sample = best_of(7, 200_000, || {
             next = (next + 1) % pairs.len();
-            black_box(scattering.sample(black_box(pairs[next].1), 0.0, &mut random));
+            black_box(scattering.sample(black_box(pairs[next].1), 0.0, [1.0; 3], &mut random));
         });
         println!(
             "{:>18} {:>12.0} {:>12.1} {:>12.1}",

@@ -65,6 +65,16 @@ fn json_has_every_configuration_and_derivatives_by_name() {
 }
 
 #[test]
+fn either_integrator_may_be_asked() {
+    let few = |integrator| means(&["--paths", "64", "--integrator", integrator]);
+    assert_eq!(few("fast")["configs"], means(&["--paths", "64"])["configs"]);
+    let basic = few("basic");
+    assert_ne!(few("fast")["configs"], basic["configs"]);
+    assert_eq!(basic["configs"], few("basic")["configs"]);
+    assert_eq!(basic["configs"].as_array().unwrap().len(), 16);
+}
+
+#[test]
 fn an_asked_accuracy_is_reached_by_honest_standard_errors() {
     // At 20 % the error of two independent runs must be explained by their stated errors: chi-square over the 16 green
     // values (channels of one path are correlated, so one channel), mean 1, seen between 0.2 and 4.

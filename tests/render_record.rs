@@ -244,8 +244,14 @@ impl Scattering for Bare {
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation {
         self.0.evaluate(wi, wo, h)
     }
-    fn sample(&self, wo: DVec3, h: f64, random: &mut Random) -> Option<Sampled> {
-        self.0.sample(wo, h, random)
+    fn importance(&self, wi: DVec3, wo: DVec3, h: f64, carried: [f64; 3]) -> ([f64; 3], f64) {
+        self.0.importance(wi, wo, h, carried)
+    }
+    fn sample(&self, wo: DVec3, h: f64, c: [f64; 3], random: &mut Random) -> Option<Sampled> {
+        self.0.sample(wo, h, c, random)
+    }
+    fn light_points(&self, wi: DVec3, wo: DVec3, half_angle: f64) -> usize {
+        self.0.light_points(wi, wo, half_angle)
     }
 }
 
@@ -399,17 +405,20 @@ impl Scattering for Wrong {
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation {
         self.at.evaluate(wi, wo, h)
     }
-    fn sample(&self, wo: DVec3, h: f64, random: &mut Random) -> Option<Sampled> {
+    fn importance(&self, wi: DVec3, wo: DVec3, h: f64, carried: [f64; 3]) -> ([f64; 3], f64) {
+        self.at.importance(wi, wo, h, carried)
+    }
+    fn sample(&self, wo: DVec3, h: f64, carried: [f64; 3], random: &mut Random) -> Option<Sampled> {
         if random.uniform() >= 0.1 {
-            return self.at.sample(wo, h, random);
+            return self.at.sample(wo, h, carried, random);
         }
-        let wi = self.wide.sample(wo, h, random)?.wi;
-        let evaluation = self.at.evaluate(wi, wo, h);
-        let factor = wi.y.hypot(wi.z) / evaluation.pdf;
+        let wi = self.wide.sample(wo, h, carried, random)?.wi;
+        let (value, pdf) = self.at.importance(wi, wo, h, carried);
+        let factor = wi.y.hypot(wi.z) / pdf;
         Some(Sampled {
             wi,
-            weight: evaluation.value.map(|s| s * factor),
-            evaluation,
+            weight: value.map(|s| s * factor),
+            pdf,
         })
     }
 }

@@ -365,8 +365,8 @@ impl Planes {
     }
 }
 
-/// What a file says of itself.
-fn attributes(c: &Configuration) -> Vec<(&'static str, String)> {
+/// What the file of a picture says of the configuration it shows, in normalized radiance.
+pub(crate) fn attributes(c: &Configuration) -> Vec<(&'static str, String)> {
     let degrees = |a: f64| format!("{:.6}", a.to_degrees());
     let quantity = "normalized radiance pi L / E_normal, linear";
     vec![
@@ -392,13 +392,7 @@ impl Small {
             .iter()
             .map(|p| [0, 1, 2].map(|k| p[k] * gains[k]));
         let balanced: Vec<[f64; 3]> = balanced.collect();
-        let mut peaks: Vec<f64> = balanced
-            .iter()
-            .map(|p| p.iter().copied().fold(0.0, f64::max))
-            .collect();
-        peaks.sort_by(f64::total_cmp);
-        let bright = peaks.get(peaks.len() * 99 / 100).copied().unwrap_or(0.0);
-        let scale = if bright > 0.0 { 1.0 / bright } else { 1.0 };
+        let scale = preview::exposure(&balanced);
         let shown: Vec<[f64; 3]> = balanced.iter().map(|p| p.map(|v| v * scale)).collect();
         Ok(Look {
             png: preview::png(self.size[0] as u32, self.size[1] as u32, &shown)?,

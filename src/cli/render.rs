@@ -1,18 +1,33 @@
 //! `goniofit render`: what a fabric would look like to the rig.
 
+mod image;
+mod image_files;
+mod subject;
+
 use super::output::data;
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
-use crate::render::{Effort, Estimates, FiberScene, FiberSceneOptions, LightShape, Request, Scene};
+use crate::render::{
+    Effort, Estimates, FiberScene, FiberSceneOptions, Integrator, LightShape, Request, Scene,
+};
 use crate::rig::{LightSource, RigDescription};
-use crate::scatter::{self, Parameters};
-use crate::session::{Plan, SessionFolder, files};
+use crate::scatter::Parameters;
+use crate::session::{SessionFolder, files};
 use crate::{fabric, scatter::Model};
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use subject::{Ready, Subject};
 
-/// Estimate the mean intensities of a fabric at given parameters
+/// Estimate the mean intensities of a fabric at given parameters, or picture it
 #[derive(clap::Args)]
+#[command(after_help = "\
+Examples:
+  goniofit render means --fabric fabrics/gabardine.toml --params fabrics/params/gabardine.json \\
+      --plan rig_configs/plans/khungurn16.toml --accuracy 5% --derivatives
+  goniofit render means --fabric fabrics/silk_satin.toml --plate white \\
+      --pose \"light=80,90 camera=32,0 rotation=45\" --json
+  goniofit render image --fabric fabrics/gabardine.toml --params fabrics/params/gabardine.json \\
+      --plan rig_configs/plans/khungurn16.toml --config 5 --crop 2 --derivative c_tt --out gabardine")]
 pub(crate) struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -21,9 +36,10 @@ pub(crate) struct Arguments {
 #[derive(clap::Subcommand)]
 enum Command {
     Means(MeansArguments),
+    Image(image::ImageArguments),
 }
 
-/// Mean normalized radiance of the sample square in every configuration of a plan, with standard errors
+/// Mean normalized radiance of the sample square in every configuration, with standard errors
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -31,34 +47,23 @@ Examples:
       --plan rig_configs/plans/khungurn16.toml --accuracy 5%
   goniofit render means --fabric fabrics/bench_twill22.toml --params P.json \\
       --plan rig_configs/plans/khungurn16.toml --paths 100000 --seed 7 --derivatives --json
+  goniofit render means --fabric fabrics/silk_satin.toml --params fabrics/params/silk.json --plate white \\
+      --light-size 50 --light-distance 400 --view pinhole:800 --pose \"light=80,90 camera=32,0 rotation=45\"
 
 The same seed gives the same numbers on any number of threads. Intensities are normalized radiance, pi L / E_normal.
 Derivatives are by the model's own parameters, per radian for angles.")]
 struct MeansArguments {
-    /// Fabric description (TOML)
-    #[arg(long, value_name = "F.toml")]
-    fabric: PathBuf,
-    /// Scattering model
-    #[arg(long, default_value = "khungurn")]
-    model: String,
-    /// Model parameters (JSON); the published defaults when left out
-    #[arg(long, value_name = "P.json")]
-    params: Option<PathBuf>,
-    /// Configurations to render (TOML)
-    #[arg(long, value_name = "PLAN.toml")]
-    plan: PathBuf,
-    /// Rig whose light and sample square to render; 10 cm at 61 cm and 1 cm when left out
-    #[arg(long, value_name = "RIG.toml")]
-    rig: Option<PathBuf>,
+    #[command(flatten)]
+    subject: Subject,
     /// Camera paths per configuration
     #[arg(long, value_name = "N", conflicts_with = "accuracy")]
     paths: Option<u64>,
     /// Weighted rms standard error of all numbers to reach, e.g. 1% or 0.01 [default: 5%]
     #[arg(long, value_name = "A", value_parser = inputs::fraction)]
     accuracy: Option<f64>,
-    /// Selects the random streams
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
+    /// How paths are followed: fast, or basic (slow, plain, to check the fast one)
+    #[arg(long, default_value = "fast", hide_default_value = true)]
+    integrator: Integrators,
     /// Also print the derivatives by every model parameter
     #[arg(long)]
     derivatives: bool,
@@ -67,9 +72,16 @@ struct MeansArguments {
     json: bool,
 }
 
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Integrators {
+    Fast,
+    Basic,
+}
+
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
     match arguments.command {
         Command::Means(a) => means(&a),
+        Command::Image(a) => image::run(&a),
     }
 }
 
@@ -123,25 +135,24 @@ pub(crate) fn surroundings_of(session: &SessionFolder) -> Result<FiberSceneOptio
 }
 
 fn means(a: &MeansArguments) -> Result<Outcome> {
-    let model = scatter::model(&a.model)?;
-    let plan = Plan::read(&a.plan)?;
-    let parameters = match &a.params {
-        Some(path) => inputs::parameters(path, model)?,
-        None => Parameters::defaults(model),
-    };
+    let Ready {
+        scene,
+        parameters,
+        configurations,
+    } = a.subject.read(match a.integrator {
+        Integrators::Fast => Integrator::Fast,
+        Integrators::Basic => Integrator::Basic,
+    })?;
     let terminal = Terminal::new()?;
-    let options = a.rig.as_deref().map(RigDescription::read).transpose()?;
-    let options = options.map_or(Ok(FiberSceneOptions::default()), |rig| surroundings(&rig))?;
-    let scene = fiber_scene(&a.fabric, model, options)?;
     let effort = match (a.paths, a.accuracy) {
         (Some(n), _) => Effort::Paths(n),
         (None, accuracy) => Effort::Accuracy(accuracy.unwrap_or(0.05)),
     };
     let request = Request {
-        configurations: &plan.configurations,
+        configurations: &configurations,
         parameters: &parameters,
         effort,
-        seed: a.seed,
+        seed: a.subject.seed,
         stream: 0,
     };
     let estimates = scene.estimate(&request, &terminal)?;
@@ -188,29 +199,31 @@ fn as_json(estimates: &Estimates, parameters: &Parameters, a: &MeansArguments) -
         "weighted_rms_se": estimates.weighted_rms_error(),
         "cpu_s": estimates.cpu_s,
         "wall_s": estimates.wall_s,
-        "seed": a.seed,
+        "seed": a.subject.seed,
         "parameters": parameters.to_json(),
     })
 }
 
+/// Head of [`table_row`]'s columns.
+const TABLE_HEAD: &str = "config        r        g        b     r_se     g_se     b_se    paths";
+
+fn table_row(config: u32, [r, g, b]: [f64; 3], [sr, sg, sb]: [f64; 3], paths: u64) -> String {
+    format!("{config:6} {r:8.5} {g:8.5} {b:8.5} {sr:8.5} {sg:8.5} {sb:8.5} {paths:8}")
+}
+
+/// The derivatives of a mean by one parameter, channel by channel.
+fn derivative_row(name: &str, by_channel: &[f64]) -> String {
+    let numbers = by_channel.iter().map(|d| format!(" {d:12.5e}"));
+    format!("       d/d {name:<9}{}", numbers.collect::<String>())
+}
+
 fn print_table(estimates: &Estimates, parameters: &Parameters, derivatives: bool) {
-    data!("config        r        g        b     r_se     g_se     b_se    paths");
+    data!("{TABLE_HEAD}");
     for e in &estimates.configurations {
-        let ([r, g, b], [sr, sg, sb]) = (e.mean, e.standard_error);
-        data!(
-            "{:6} {r:8.5} {g:8.5} {b:8.5} {sr:8.5} {sg:8.5} {sb:8.5} {:8}",
-            e.config,
-            e.paths
-        );
+        data!("{}", table_row(e.config, e.mean, e.standard_error, e.paths));
         if derivatives {
             for (info, d) in parameters.infos().iter().zip(&e.derivative) {
-                data!(
-                    "       d/d {:<9} {:12.5e} {:12.5e} {:12.5e}",
-                    info.name,
-                    d[0],
-                    d[1],
-                    d[2]
-                );
+                data!("{}", derivative_row(info.name, d));
             }
         }
     }

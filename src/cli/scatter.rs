@@ -12,6 +12,11 @@ use std::path::{Path, PathBuf};
 
 /// Evaluate a scattering model
 #[derive(clap::Args)]
+#[command(after_help = "\
+Examples:
+  goniofit scatter list
+  goniofit scatter eval --model khungurn --params fabrics/params/gabardine.json --directions D.csv --derivatives
+  goniofit scatter albedo --model khungurn --params fabrics/params/gabardine.json")]
 pub(crate) struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -4,7 +4,9 @@ use super::output::data;
 use super::render::{fiber_scene, surroundings};
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
-use crate::render::{Effort, Estimate, FiberScene, Request, Scene, TilePicture};
+use crate::render::{
+    Effort, Estimate, FiberScene, Picture, PictureEffort, PictureRequest, Request, Scene,
+};
 use crate::rig::capture::{CaptureOptions, white_id};
 use crate::rig::simulated::capture_in_process;
 use crate::rig::virtual_camera::PixelFaults;
@@ -275,24 +277,22 @@ fn virtual_camera(
     rig: &RigDescription,
     terminal: &Terminal,
 ) -> Result<VirtualCamera> {
-    let mut pictures = BTreeMap::new();
     let mut configurations = plan.configurations.clone();
     if rig.lamp.reference_every > 0 {
         configurations.push(rig.white.configuration(white_id(plan)));
     }
-    for (i, configuration) in configurations.iter().enumerate() {
-        terminal.say(format!("picture {} of {}", i + 1, configurations.len()));
-        let resolution = [a.texels; 2];
-        let picture = scene.picture(
-            configuration,
-            parameters,
-            resolution,
-            a.texel_paths,
-            a.seed,
-            terminal,
-        )?;
-        pictures.insert(configuration.id, picture);
-    }
+    terminal.say(format!("rendering {} pictures", configurations.len()));
+    let request = PictureRequest {
+        configurations: &configurations,
+        parameters,
+        region: scene.tile(),
+        resolution: [a.texels; 2],
+        effort: PictureEffort::PathsPerPixel(a.texel_paths),
+        derivatives: &[],
+        seed: a.seed,
+    };
+    let pictures = scene.pictures(&request, terminal)?;
+    let pictures = pictures.into_iter().map(|p| (p.config, p)).collect();
     let white = WhiteReference {
         configuration: rig.white.configuration(0),
         reflectance_factor: rig.white.reflectance_factor,
@@ -333,7 +333,7 @@ fn virtual_camera(
 
 /// The fabric's pictures, and the white standard.
 struct Swatch {
-    pictures: BTreeMap<u32, TilePicture>,
+    pictures: BTreeMap<u32, Picture>,
     white: [f64; 3],
 }
 

@@ -3,158 +3,28 @@
 //! Configurations with the same camera direction in the sample frame share their camera paths (Khungurn 2015's 16 make 7
 //! groups): each path connects to all lamps of its group, so their estimates are correlated, but each is unbiased.
 //!
-//! Pilot paths, from a stream of their own, choose path counts and roulette thresholds and are then thrown away: what is
-//! returned comes from paths whose number and thresholds were fixed beforehand, so means and derivatives are unbiased.
+//! Pilot paths, from streams of their own, choose path counts, roulette thresholds and which branches to follow, and are
+//! then thrown away: what is returned comes from paths whose number and rules were fixed beforehand, so means and
+//! derivatives are unbiased.
 
-use super::light::Lamp;
-use super::path::{Event, Visitor};
+use super::allocation::{
+    Group, TAU, groups, paths_for_accuracy, planned_paths, weighted_variance, worth,
+};
+use super::guide::{Guide, Lesson, Pupil};
+use super::path::Visitor;
 use super::scene::FiberScene;
-use super::{Effort, Estimate, Estimates, Request, relative_error_weight, weighted_rms};
+use super::summation::{Summation, Sums};
+use super::{Effort, Estimate, Estimates, MIN_PATHS, Request, relative_error_weight, weighted_rms};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
-use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS, Parameters, Scattering};
+use crate::scatter::{CHANNELS, Parameters, Scattering};
 use crate::session::Configuration;
-use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Fewest paths per configuration an estimate can be made from: below, batch means say nothing about the error.
-const MIN_PATHS: u64 = 64;
 /// Paths per batch aimed at, and the range of the number of batches.
 const BATCH_PATHS: u64 = 512;
 const BATCHES: (u64, u64) = (32, 512);
-/// The weights' threshold, in normalized radiance (Khungurn 2015 section 5.3).
-const TAU: f64 = 0.02;
-/// Connections worth less than this multiple of a configuration's mean are made with smaller probability. Work to equal
-/// error is flat between 1 and 10 and a tenth higher at 0.1.
-const WORTH: f64 = 1.0;
-
-/// Sums of one lamp: value and derivatives.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Sums {
-    pub(super) value: [f64; CHANNELS],
-    pub(super) derivative: [[f64; CHANNELS]; MAX_ROWS],
-}
-
-/// Follows paths and sums their contributions and scores (Khungurn 2015 eq. 11-17): along a path the derivative of its
-/// contribution is the contribution times the sum of `(dS/dt)/S` over its events; sampling is not differentiated.
-pub(super) struct Summation {
-    rows: usize,
-    /// `before[n]`: what the first `n` events of the present path left.
-    before: Vec<Carried>,
-    pub(super) lamps: Vec<Sums>,
-}
-
-/// What a path has gathered on its way.
-#[derive(Debug, Clone, Copy)]
-struct Carried {
-    throughput: [f64; CHANNELS],
-    score: [[f64; CHANNELS]; MAX_ROWS],
-}
-
-impl Summation {
-    pub(super) fn new(rows: usize, n_lamps: usize) -> Self {
-        Self {
-            rows,
-            before: vec![Carried {
-                throughput: [1.0; CHANNELS],
-                score: [[0.0; CHANNELS]; MAX_ROWS],
-            }],
-            lamps: vec![Sums::default(); n_lamps],
-        }
-    }
-
-    fn set(&mut self, depth: usize, carried: Carried) {
-        match self.before.get_mut(depth) {
-            Some(place) => *place = carried,
-            None => self.before.push(carried),
-        }
-    }
-}
-
-/// `(dS/dt)/S`; where `S` underflows to zero the path carries nothing and the score is taken as zero.
-fn score(evaluation: &Evaluation, row: usize, channel: usize) -> f64 {
-    let value = evaluation.value[channel];
-    if value > 0.0 {
-        evaluation.derivative[row][channel] / value
-    } else {
-        0.0
-    }
-}
-
-impl Visitor for Summation {
-    fn bounce(&mut self, depth: usize, event: Event<'_>) {
-        let mut carried = self.before[depth];
-        for c in 0..CHANNELS {
-            carried.throughput[c] *= event.weight[c];
-            for row in 0..self.rows {
-                carried.score[row][c] += score(event.evaluation, row, c);
-            }
-        }
-        self.set(depth + 1, carried);
-    }
-
-    fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]) {
-        let mut carried = self.before[depth];
-        for c in 0..CHANNELS {
-            carried.throughput[c] *= weight[c];
-        }
-        self.set(depth + 1, carried);
-    }
-
-    fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>) {
-        let (sums, carried) = (&mut self.lamps[lamp], &self.before[depth]);
-        for c in 0..CHANNELS {
-            let contribution = carried.throughput[c] * event.weight[c];
-            sums.value[c] += contribution;
-            for row in 0..self.rows {
-                sums.derivative[row][c] +=
-                    contribution * (carried.score[row][c] + score(event.evaluation, row, c));
-            }
-        }
-    }
-
-    fn arrive(&mut self, depth: usize, lamp: usize, factor: [f64; CHANNELS]) {
-        let (sums, carried) = (&mut self.lamps[lamp], &self.before[depth]);
-        for c in 0..CHANNELS {
-            let contribution = carried.throughput[c] * factor[c];
-            sums.value[c] += contribution;
-            for row in 0..self.rows {
-                sums.derivative[row][c] += contribution * carried.score[row][c];
-            }
-        }
-    }
-}
-
-/// Configurations that share camera paths.
-pub(super) struct Group {
-    toward_camera: DVec3,
-    /// Indices into the request's configurations.
-    pub(super) members: Vec<usize>,
-    lamps: Vec<Lamp>,
-}
-
-fn groups(scene: &FiberScene, configurations: &[Configuration]) -> Vec<Group> {
-    let mut groups: Vec<Group> = Vec::new();
-    for (index, c) in configurations.iter().enumerate() {
-        let toward_camera = c.camera_in_sample().vector();
-        match groups
-            .iter_mut()
-            .find(|g| (g.toward_camera - toward_camera).length() < 1e-12)
-        {
-            Some(group) => group.members.push(index),
-            None => groups.push(Group {
-                toward_camera,
-                members: vec![index],
-                lamps: Vec::new(),
-            }),
-        }
-    }
-    for group in &mut groups {
-        group.lamps = scene.lamps(group.members.iter().map(|&i| configurations[i]));
-    }
-    groups
-}
 
 /// Fraction of an asked accuracy aimed at: pilots miss the rarest bright paths and promise a little too much.
 const AIM: f64 = 0.9;
@@ -162,16 +32,22 @@ const AIM: f64 = 0.9;
 /// Most pilot rounds.
 const MAX_PILOTS: u64 = 6;
 
+/// Fewest pilot paths of a group that teach its guide more than they cost.
+const SCHOOL: u64 = 500;
+
+/// What a ray of a guided path costs in rays of one without: more directions are sampled at each hit.
+const GUIDED_RAY: f64 = 1.25;
+
 /// One round of paths over all groups.
 pub(super) struct Round<'a> {
     scene: &'a FiberScene,
     scattering: &'a dyn Scattering,
-    rows: usize,
     groups: &'a [Group],
     /// Paths per group.
     paths: Vec<u64>,
     /// Per configuration, see [`super::path::Stage::worth`].
     worth: Vec<f64>,
+    guides: Vec<Guide>,
     /// Key of the random streams: seed, stream, round.
     key: [u64; 3],
     stage_name: &'a str,
@@ -189,74 +65,74 @@ pub(super) struct Batch {
 /// Mean, its squared standard error, and the same for the derivatives.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Moments {
-    mean: Sums,
-    variance: Sums,
+    pub(super) mean: Sums,
+    pub(super) variance: Sums,
 }
 
+/// What a group's pilot paths taught, and how many rays they took.
+type Learned = (Lesson, f64);
+
 impl Round<'_> {
-    fn run(&self, n_configurations: usize, watch: &dyn Watch) -> Result<Vec<Moments>> {
-        let results = self.batches(watch, |batch| {
-            let mut sums = Summation::new(self.rows, self.groups[batch.group].members.len());
-            self.follow(&batch, &mut sums, |_| {});
-            Ok(sums.lamps)
-        })?;
-        let mut moments = vec![Moments::default(); n_configurations];
-        for (g, group) in self.groups.iter().enumerate() {
-            for (lamp, &member) in group.members.iter().enumerate() {
-                let mine = results.iter().filter(|(batch, _)| batch.group == g);
-                let sums = mine.map(|(batch, sums)| (&sums[lamp], batch.paths as f64));
-                moments[member] = combine(sums, self.rows);
-            }
-        }
-        Ok(moments)
+    /// Camera paths of all groups.
+    pub(super) fn total_paths(&self) -> u64 {
+        self.paths.iter().sum()
     }
 
-    /// What `each` makes of every batch of paths, in a fixed order.
-    pub(super) fn batches<T: Send>(
+    /// Camera paths of one configuration.
+    pub(super) fn paths_of(&self, configuration: usize) -> u64 {
+        let group = |g: &Group| g.members.contains(&configuration);
+        let found = self.groups.iter().position(group);
+        found.map_or(0, |g| self.paths[g])
+    }
+
+    fn batches(&self, group: usize) -> impl Iterator<Item = Batch> {
+        let paths = self.paths[group];
+        let count = (paths / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1);
+        (0..count).map(move |number| Batch {
+            group,
+            number,
+            paths: paths / count + u64::from(number < paths % count),
+        })
+    }
+
+    /// What `one` makes of every batch, in a fixed order.
+    pub(super) fn run<T: Send>(
         &self,
         watch: &dyn Watch,
-        each: impl Fn(Batch) -> Result<T> + Sync,
+        one: impl Fn(Batch) -> Result<T> + Sync,
     ) -> Result<Vec<(Batch, T)>> {
         let tasks: Vec<Batch> = (0..self.groups.len())
-            .flat_map(|group| {
-                let paths = self.paths[group];
-                let count = (paths / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1);
-                (0..count).map(move |number| Batch {
-                    group,
-                    number,
-                    paths: batch_size(paths, count, number),
-                })
-            })
+            .flat_map(|group| self.batches(group))
             .collect();
-        let (done, total) = (AtomicU64::new(0), self.paths.iter().sum::<u64>());
+        let (done, total) = (AtomicU64::new(0), self.total_paths());
         tasks
             .par_iter()
             .map(|&batch| {
                 if watch.cancelled() {
                     return Err(interrupted());
                 }
-                let result = each(batch)?;
-                watch.progress(
-                    self.stage_name,
-                    done.fetch_add(batch.paths, Ordering::Relaxed) + batch.paths,
-                    total,
-                );
+                let result = one(batch)?;
+                let so_far = done.fetch_add(batch.paths, Ordering::Relaxed) + batch.paths;
+                watch.progress(self.stage_name, so_far, total);
                 Ok((batch, result))
             })
             .collect()
     }
 
-    /// Follows the paths of a batch; `ended` hears of the end of each.
-    pub(super) fn follow<V: Visitor>(
+    /// Traces the paths of one batch; `finish_path` hears of the end of each.
+    pub(super) fn trace<V: Visitor>(
         &self,
-        batch: &Batch,
+        batch: Batch,
         visitor: &mut V,
-        mut ended: impl FnMut(&mut V),
+        finish_path: impl Fn(&mut V),
     ) {
         let g = batch.group;
         let group = &self.groups[g];
         let worth: Vec<f64> = group.members.iter().map(|&m| self.worth[m]).collect();
-        let stage = self.scene.stage(self.scattering, &group.lamps, &worth);
+        let guide = &self.guides[g];
+        let stage = self
+            .scene
+            .stage(self.scattering, &group.lamps, &worth, guide);
         let [seed, stream, round] = self.key;
         let mut random = Random::keyed(&[seed, stream, round, g as u64, batch.number]);
         for _ in 0..batch.paths {
@@ -264,14 +140,69 @@ impl Round<'_> {
             let view = self.scene.options.view;
             let toward_camera = view.toward_camera(through, group.toward_camera);
             stage.follow(through, toward_camera, &mut random, visitor);
-            ended(visitor);
+            finish_path(visitor);
         }
+    }
+
+    /// Moments of all configurations.
+    fn render(
+        &self,
+        rows: usize,
+        n_configurations: usize,
+        watch: &dyn Watch,
+    ) -> Result<Vec<Moments>> {
+        let batches = self.run(watch, |batch| {
+            let mut sums = Summation::new(rows, self.groups[batch.group].lamps.len());
+            self.trace(batch, &mut sums, |_| ());
+            Ok(sums.lamps)
+        })?;
+        Ok(self.moments(&batches, rows, n_configurations))
+    }
+
+    /// Moments of the values alone, and per group what the paths taught and how many rays they took.
+    fn pilot(
+        &self,
+        n_configurations: usize,
+        watch: &dyn Watch,
+    ) -> Result<(Vec<Moments>, Vec<Learned>)> {
+        let batches = self.run(watch, |batch| {
+            let mut pupil = Pupil::new(self.groups[batch.group].lamps.len());
+            self.trace(batch, &mut pupil, Pupil::finish_path);
+            Ok(pupil)
+        })?;
+        let lesson = |group: &Group| (Lesson::new(group.lamps.len()), 0.0);
+        let mut learned: Vec<Learned> = self.groups.iter().map(lesson).collect();
+        for (batch, pupil) in &batches {
+            let (lesson, rays) = &mut learned[batch.group];
+            lesson.merge(&pupil.lesson);
+            *rays += pupil.rays;
+        }
+        let value = |&value: &[f64; CHANNELS]| Sums {
+            value,
+            ..Sums::default()
+        };
+        let values: Vec<(Batch, Vec<Sums>)> = batches
+            .iter()
+            .map(|(batch, pupil)| (*batch, pupil.sums.iter().map(value).collect()))
+            .collect();
+        Ok((self.moments(&values, 0, n_configurations), learned))
+    }
+
+    fn moments(&self, batches: &[(Batch, Vec<Sums>)], rows: usize, n: usize) -> Vec<Moments> {
+        let mut moments = vec![Moments::default(); n];
+        for (g, group) in self.groups.iter().enumerate() {
+            for (lamp, &member) in group.members.iter().enumerate() {
+                let mine = batches.iter().filter(|(batch, _)| batch.group == g);
+                let sums = mine.map(|(batch, sums)| (&sums[lamp], batch.paths as f64));
+                moments[member] = combine(sums, rows);
+            }
+        }
+        moments
     }
 }
 
-/// Paths of batch `b` when `n` paths are split into `batches`.
-fn batch_size(n: u64, batches: u64, b: u64) -> u64 {
-    n / batches + u64::from(b < n % batches)
+pub(super) fn interrupted() -> Error {
+    Error::new("interrupted")
 }
 
 /// Mean over all paths, and its variance from the scatter of the batches.
@@ -302,108 +233,116 @@ pub(super) fn combine<'a>(
     moments
 }
 
-pub(super) fn interrupted() -> Error {
-    Error::new("interrupted")
+/// What the pilots have settled so far; vectors hold one entry per group, `moments` one per configuration.
+struct Settled {
+    moments: Vec<Moments>,
+    /// Paths of the latest pilot.
+    paths: Vec<u64>,
+    guides: Vec<Guide>,
+    /// Weighted variance of one path, and its cost in rays, at the latest pilot.
+    variance: Vec<f64>,
+    cost: Vec<f64>,
+    /// Cost times variance of a path without a guide.
+    unguided: Vec<f64>,
 }
 
-/// Groups, path counts and roulette thresholds of a request, fixed by pilots.
-pub(super) struct Planned {
-    pub(super) groups: Vec<Group>,
-    /// Paths per group.
-    pub(super) paths: Vec<u64>,
-    /// Per configuration, see [`super::path::Stage::worth`].
-    worth: Vec<f64>,
-}
-
-impl Planned {
-    /// Camera paths of one configuration.
-    pub(super) fn paths_of(&self, configuration: usize) -> u64 {
-        let group = |g: &Group| g.members.contains(&configuration);
-        self.groups
-            .iter()
-            .position(group)
-            .map_or(0, |g| self.paths[g])
-    }
-
-    /// The paths that are kept.
-    pub(super) fn round<'a>(
-        &'a self,
-        scene: &'a FiberScene,
-        scattering: &'a dyn Scattering,
-        request: &Request<'_>,
-    ) -> Round<'a> {
-        Round {
-            scene,
-            scattering,
-            rows: scene.model.parameters().len(),
-            groups: &self.groups,
-            paths: self.paths.clone(),
-            worth: self.worth.clone(),
-            key: [request.seed, request.stream, MAX_PILOTS],
-            stage_name: "render",
+impl Settled {
+    fn nothing(n_configurations: usize, groups: usize) -> Self {
+        Self {
+            moments: vec![Moments::default(); n_configurations],
+            paths: vec![0; groups],
+            guides: vec![Guide::FRESH; groups],
+            variance: vec![0.0; groups],
+            cost: vec![1.0; groups],
+            unguided: vec![f64::INFINITY; groups],
         }
     }
+
+    /// Takes over a pilot's results, and learns from it where it was large enough. A guide that made things worse is
+    /// dropped.
+    fn learn(&mut self, round: &Round<'_>, moments: Vec<Moments>, learned: &[Learned]) {
+        for (g, (lesson, rays)) in learned.iter().enumerate() {
+            let members = &round.groups[g].members;
+            let paths = round.paths[g] as f64;
+            let variance: f64 = members
+                .iter()
+                .map(|&m| weighted_variance(&moments[m]))
+                .sum();
+            let (rays, variance) = (rays / paths, variance * paths);
+            let fresh = round.guides[g].is_fresh();
+            let cost = if fresh { rays } else { GUIDED_RAY * rays };
+            if fresh {
+                self.unguided[g] = cost * variance;
+            }
+            let worse = cost * variance > self.unguided[g];
+            let guide = if worse || round.paths[g] < SCHOOL {
+                None
+            } else {
+                let weight = |&m: &usize| relative_error_weight(moments[m].mean.value, TAU);
+                let weights: Vec<f64> = members.iter().map(weight).collect();
+                lesson.guide(&weights, rays / variance)
+            };
+            self.guides[g] = guide.unwrap_or(Guide::FRESH);
+            (self.variance[g], self.cost[g]) = (variance, cost);
+        }
+        self.moments = moments;
+        self.paths.clone_from(&round.paths);
+    }
 }
 
-/// Spends pilots on what has to be known before the paths that are kept.
-pub(super) fn plan(
-    scene: &FiberScene,
-    scattering: &dyn Scattering,
+/// The round of paths that are kept, its path counts and rules settled by pilots.
+pub(super) fn plan<'a>(
+    scene: &'a FiberScene,
+    scattering: &'a dyn Scattering,
+    groups: &'a [Group],
     request: &Request<'_>,
     watch: &dyn Watch,
-) -> Result<Planned> {
-    let configurations = request.configurations;
-    if configurations.is_empty() {
-        return Err(Error::new(
-            "nothing to render: the plan has no configurations",
-        ));
-    }
-    let groups = groups(scene, configurations);
-    let pilot = |number: u64, paths: Vec<u64>, worth: Vec<f64>| {
-        let round = Round {
-            scene,
-            scattering,
-            rows: scene.model.parameters().len(),
-            groups: &groups,
-            paths,
-            worth,
-            key: [request.seed, request.stream, number],
-            stage_name: "pilot",
-        };
-        round
-            .run(configurations.len(), watch)
-            .map(|m| (m, round.paths))
+) -> Result<Round<'a>> {
+    let n = request.configurations.len();
+    let round = |number: u64, paths: Vec<u64>, settled: &Settled, stage_name| Round {
+        scene,
+        scattering,
+        groups,
+        paths,
+        worth: worth(&settled.moments),
+        guides: settled.guides.clone(),
+        key: [request.seed, request.stream, number],
+        stage_name,
     };
-
-    let planned = planned_paths(&request.effort, &groups)?;
-    let pilot_paths = |n: u64| (n / 16).clamp(MIN_PATHS, 1024);
-    let first = planned.as_ref().map_or(vec![2048; groups.len()], |p| {
-        p.iter().map(|&n| pilot_paths(n)).collect()
-    });
-    let (mut moments, mut paths) = pilot(0, first, vec![0.0; configurations.len()])?;
-    let final_paths = match (&request.effort, planned) {
-        (Effort::Accuracy(target), _) => {
+    let mut settled = Settled::nothing(n, groups.len());
+    let pilot = |number: u64, paths: Vec<u64>, settled: &mut Settled| -> Result<()> {
+        let round = round(number, paths, settled, "pilot");
+        let (moments, learned) = round.pilot(n, watch)?;
+        settled.learn(&round, moments, &learned);
+        Ok(())
+    };
+    let final_paths = match planned_paths(&request.effort, groups) {
+        Some(planned) => {
+            for (number, paths) in planned_pilots(&planned).into_iter().enumerate() {
+                pilot(number as u64, paths, &mut settled)?;
+            }
+            planned
+        }
+        None => {
+            let Effort::Accuracy(target) = request.effort else {
+                unreachable!("only an accuracy leaves the path counts open")
+            };
+            pilot(0, vec![2048; groups.len()], &mut settled)?;
             // Rare bright paths make a small pilot's variances too low: repeat with larger ones until a pilot is about an
             // eighth of the work it predicts.
-            let mut needed = paths_for_accuracy(&moments, &paths, &groups, AIM * target);
+            let needed = |s: &Settled| paths_for_accuracy(&s.variance, &s.cost, n, AIM * target);
             for number in 1..MAX_PILOTS {
-                if 9 * paths.iter().sum::<u64>() >= needed.iter().sum::<u64>() {
+                let wanted = needed(&settled);
+                if 9 * settled.paths.iter().sum::<u64>() >= wanted.iter().sum::<u64>() {
                     break;
                 }
-                let larger = needed.iter().map(|n| (n / 8).max(MIN_PATHS)).collect();
-                (moments, paths) = pilot(number, larger, worth(&moments))?;
-                needed = paths_for_accuracy(&moments, &paths, &groups, AIM * target);
+                let larger = wanted.iter().map(|n| (n / 8).max(MIN_PATHS)).collect();
+                pilot(number, larger, &mut settled)?;
             }
-            needed
+            needed(&settled)
         }
-        (_, Some(planned)) => planned,
-        (_, None) => unreachable!("only an accuracy leaves the path counts open"),
     };
-    Ok(Planned {
-        worth: worth(&moments),
-        paths: final_paths,
-        groups,
-    })
+    Ok(round(MAX_PILOTS, final_paths, &settled, "render"))
 }
 
 /// See [`super::Scene::estimate`].
@@ -413,21 +352,41 @@ pub(super) fn estimate(
     watch: &dyn Watch,
 ) -> Result<Estimates> {
     let clock = (std::time::Instant::now(), cpu_seconds());
+    let configurations = request.configurations;
     let scattering = scene.model.prepare(request.parameters)?;
-    let planned = plan(scene, &*scattering, request, watch)?;
-    let round = planned.round(scene, &*scattering, request);
-    let moments = round.run(request.configurations.len(), watch)?;
-    let rows = round.rows;
+    let groups = groups(scene, configurations);
+    let last = plan(scene, &*scattering, &groups, request, watch)?;
+    let rows = scene.model.parameters().len();
+    let moments = last.render(rows, configurations.len(), watch)?;
     let finish = |(index, c): (usize, &Configuration)| {
-        let paths = planned.paths_of(index);
+        let paths = last.paths_of(index);
         finished(c.id, &moments[index], rows, paths, request.parameters)
     };
-    let configurations = request.configurations.iter().enumerate();
     Ok(Estimates {
-        configurations: configurations.map(finish).collect::<Result<_>>()?,
+        configurations: configurations
+            .iter()
+            .enumerate()
+            .map(finish)
+            .collect::<Result<_>>()?,
         cpu_s: cpu_seconds() - clock.1,
         wall_s: clock.0.elapsed().as_secs_f64(),
     })
+}
+
+/// Sizes of the pilots before a planned number of paths: a small one without guide, and one more to learn from where
+/// there is enough to gain.
+fn planned_pilots(planned: &[u64]) -> Vec<Vec<u64>> {
+    let of = |part: u64| -> Vec<u64> {
+        planned
+            .iter()
+            .map(|n| (n / part).clamp(MIN_PATHS, 8192))
+            .collect()
+    };
+    if planned.iter().any(|n| n / 16 >= SCHOOL) {
+        vec![of(16), of(12)]
+    } else {
+        vec![of(16)]
+    }
 }
 
 pub(super) fn finished(
@@ -451,8 +410,7 @@ pub(super) fn finished(
             .all(|v| v.is_finite());
     if !finite {
         return Err(Error::new(format!(
-            "configuration {}: the render is not finite (mean {:?}, variance {:?}) at {}",
-            config,
+            "configuration {config}: the render is not finite (mean {:?}, variance {:?}) at {}",
             m.mean.value,
             m.variance.value,
             parameters.to_json()
@@ -470,72 +428,6 @@ pub(super) fn finished(
             .collect(),
         paths,
     })
-}
-
-/// Paths per group when the effort states them; `None` for an accuracy.
-fn planned_paths(effort: &Effort, groups: &[Group]) -> Result<Option<Vec<u64>>> {
-    match effort {
-        Effort::Paths(n) if *n < MIN_PATHS => Err(Error::new(format!(
-            "{n} paths per configuration are too few"
-        ))
-        .with_hint(format!(
-            "at least {MIN_PATHS} are needed for a standard error"
-        ))),
-        Effort::Paths(n) => Ok(Some(vec![*n; groups.len()])),
-        Effort::Total { paths, shares } => {
-            let n: usize = groups.iter().map(|g| g.members.len()).sum();
-            if shares.len() != n || !shares.iter().all(|s| *s > 0.0 && s.is_finite()) {
-                return Err(Error::new(format!(
-                    "path shares: expected {n} positive numbers, found {shares:?}"
-                )));
-            }
-            let of = |g: &Group| g.members.iter().map(|&m| shares[m]).fold(0.0, f64::max);
-            let all: f64 = groups.iter().map(of).sum();
-            let paths = *paths as f64;
-            Ok(Some(
-                groups
-                    .iter()
-                    .map(|g| ((paths * of(g) / all).round() as u64).max(MIN_PATHS))
-                    .collect(),
-            ))
-        }
-        Effort::Accuracy(a) if (1e-5..=0.5).contains(a) => Ok(None),
-        Effort::Accuracy(a) => Err(Error::new(format!(
-            "accuracy {a} is out of range: expected 0.00001 to 0.5"
-        ))
-        .with_hint("write 1% or 0.01 for a weighted rms standard error of one percent")),
-    }
-}
-
-/// Roulette thresholds from a pilot's means.
-fn worth(pilot: &[Moments]) -> Vec<f64> {
-    pilot
-        .iter()
-        .map(|m| WORTH * (m.mean.value.iter().sum::<f64>() / CHANNELS as f64))
-        .collect()
-}
-
-/// Paths per group (Neyman 1934) so that the weighted rms standard error meets `target`, given a pilot.
-fn paths_for_accuracy(pilot: &[Moments], paths: &[u64], groups: &[Group], target: f64) -> Vec<u64> {
-    // Weighted variance per path of each group.
-    let spread: Vec<f64> = groups
-        .iter()
-        .zip(paths)
-        .map(|(g, &n)| {
-            let of = |&m: &usize| {
-                let Moments { mean, variance } = &pilot[m];
-                relative_error_weight(mean.value, TAU) * variance.value.iter().sum::<f64>()
-            };
-            n as f64 * g.members.iter().map(of).sum::<f64>()
-        })
-        .collect();
-    // Minimize sum n subject to sum spread / n = target^2 (number of values).
-    let allowed = target * target * (CHANNELS * pilot.len()) as f64;
-    let root_sum: f64 = spread.iter().map(|s| s.sqrt()).sum();
-    spread
-        .iter()
-        .map(|s| ((root_sum * s.sqrt() / allowed).ceil() as u64).max(MIN_PATHS))
-        .collect()
 }
 
 impl Estimates {

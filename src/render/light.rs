@@ -63,8 +63,21 @@ impl Lamp {
 
     /// A uniform point of the square, seen from `from`; `None` when `from` is behind the light.
     pub(super) fn sample(&self, from: DVec3, random: &mut Random) -> Option<LampSample> {
-        let u = 2.0 * random.uniform() - 1.0;
-        let v = 2.0 * random.uniform() - 1.0;
+        self.point(from, [random.uniform(), random.uniform()])
+    }
+
+    pub(super) fn center(&self) -> DVec3 {
+        self.center
+    }
+
+    pub(super) fn half_angle(&self) -> f64 {
+        (self.half_u.length() * std::f64::consts::SQRT_2 / self.center.length()).atan()
+    }
+
+    /// The point of the square at `uv` in the unit square.
+    pub(super) fn point(&self, from: DVec3, uv: [f64; 2]) -> Option<LampSample> {
+        let u = 2.0 * uv[0] - 1.0;
+        let v = 2.0 * uv[1] - 1.0;
         let to = self.center + self.half_u * u + self.half_v * v - from;
         let distance2 = to.length_squared();
         let direction = to / distance2.sqrt();

@@ -3,26 +3,36 @@
 //! Knows neither files nor fitting. A [`Scene`] is anything that can estimate the mean normalized radiance of a list of
 //! configurations, with standard errors and derivatives by parameter name.
 
+mod allocation;
+mod basic;
 mod estimate;
 mod geometry;
+mod guide;
+mod image;
 #[cfg(test)]
 mod laws;
 mod light;
 mod path;
 mod picture;
+mod probe;
 mod record;
 mod scene;
+mod summation;
 
 pub use light::LightShape;
-pub use picture::TilePicture;
+pub use picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
+pub use probe::RaySpeed;
 pub use record::{
     ConfigurationTrust, Recalled, RecordOptions, Recording, RecordingPair, TRUST_THRESHOLD, Trust,
 };
-pub use scene::{FiberScene, FiberSceneOptions, Plate, View};
+pub use scene::{FiberScene, FiberSceneOptions, Integrator, Plate, View};
 
-use crate::base::{Result, Watch};
+use crate::base::{Error, Result, Watch};
 use crate::scatter::{Model, Parameters};
 use crate::session::Configuration;
+
+/// Fewest paths per configuration an estimate can be made from: below, batch means say nothing about the error.
+const MIN_PATHS: u64 = 64;
 
 /// How much work an estimate may cost.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,7 +67,42 @@ pub struct Request<'a> {
     pub stream: u64,
 }
 
+impl Request<'_> {
+    /// Refuses a request that no scene can answer.
+    fn check(&self) -> Result<()> {
+        let n = self.configurations.len();
+        if n == 0 {
+            return Err(Error::new(
+                "nothing to render: the plan has no configurations",
+            ));
+        }
+        match &self.effort {
+            Effort::Paths(paths) if *paths < MIN_PATHS => Err(Error::new(format!(
+                "{paths} paths per configuration are too few"
+            ))
+            .with_hint(format!(
+                "at least {MIN_PATHS} are needed for a standard error"
+            ))),
+            Effort::Total { shares, .. }
+                if shares.len() != n || !shares.iter().all(|s| *s > 0.0 && s.is_finite()) =>
+            {
+                Err(Error::new(format!(
+                    "path shares: expected {n} positive numbers, found {shares:?}"
+                )))
+            }
+            Effort::Accuracy(a) if !(1e-5..=0.5).contains(a) => Err(Error::new(format!(
+                "accuracy {a} is out of range: expected 0.00001 to 0.5"
+            ))
+            .with_hint("write 1% or 0.01 for a weighted rms standard error of one percent")),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// The estimate for one configuration.
+///
+/// Mean +- 1.96 standard errors is a 95 % interval where the error is below a tenth of the mean (`tests/render_coverage.rs`).
+/// Above, the rarest bright paths have not been seen often enough: such intervals held the truth in 86 to 93 % of runs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// The configuration's id.

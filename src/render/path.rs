@@ -6,10 +6,11 @@
 //! new ray leaves as the model's [`Passage`] says. It does not see the segment it leaves nor that segment's two neighbors,
 //! and only rays entering a fiber count as hits, as fibers may overlap.
 //!
-//! All three channels travel on one path. Nothing is clamped; a path ends by roulette, by leaving, or on the plate under the
-//! cloth when that is black.
+//! All three channels travel on one path, and lobes are chosen by what the channels still carry. Nothing is clamped; a path
+//! branches and ends as a [`Guide`] advises, and ends by leaving or on the plate under the cloth when that is black.
 
 use super::geometry::{Ended, Geometry, Hit, Skip};
+use super::guide::{Guide, StateMap};
 use super::light::Lamp;
 use super::scene::Plate;
 use crate::math::{Frame, Random};
@@ -26,15 +27,22 @@ pub(super) struct Event<'a> {
     pub(super) wo: DVec3,
     /// Where across the fiber the camera side meets it, see [`Scattering`].
     pub(super) h: f64,
-    /// `S(wi, wo)` times everything that does not depend on the parameters (cosine, densities, roulette).
-    pub(super) weight: [f64; CHANNELS],
+    /// Everything that does not depend on the parameters: cosine, densities, roulette, the lamp's radiance.
+    pub(super) factor: f64,
     /// Value and derivatives of `S` at the two directions.
     pub(super) evaluation: &'a Evaluation,
 }
 
+impl Event<'_> {
+    /// What light is multiplied with on its way through this event: `S` times the factor.
+    pub(super) fn weight(&self) -> [f64; CHANNELS] {
+        self.evaluation.value.map(|s| s * self.factor)
+    }
+}
+
 /// Whoever follows a path: sums it up, or records it.
 ///
-/// `depth` counts the events between the camera and this one, of fibers and of the plate. A path may branch: an event at
+/// `depth` counts the events between the camera and this one, of fibers and of the plate. A path branches: an event at
 /// depth `n` continues the latest event before it that had depth `n - 1`.
 pub(super) trait Visitor {
     /// The path goes on through this event.
@@ -45,6 +53,8 @@ pub(super) trait Visitor {
     fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>);
     /// The path itself, after `depth` events, arrived on a lamp; `factor` is the lamp's share.
     fn arrive(&mut self, depth: usize, lamp: usize, factor: [f64; CHANNELS]);
+    /// After its latest bounce or reflection, the event number `depth`, the path sets out in a state of the guide.
+    fn set_out(&mut self, _depth: usize, _state: usize) {}
 }
 
 /// What a path needs to know that does not change from path to path.
@@ -55,21 +65,62 @@ pub(super) struct Stage<'a> {
     /// Per lamp: connections that would add less than this are made with proportionally smaller probability.
     pub(super) worth: &'a [f64],
     pub(super) plate: Plate,
+    pub(super) map: &'a StateMap,
+    pub(super) guide: &'a Guide,
 }
 
-/// Least probability with which a path goes on, or a small connection is made.
-const SURVIVAL_FLOOR: f64 = 0.05;
+/// Least probability with which a small connection is made.
+const CONNECTION_FLOOR: f64 = 0.05;
 
-/// A ray of a path, with what it carries.
+/// Steps of the two-dimensional lattice of Roberts 2018 (powers of the inverse plastic number) for points on a lamp.
+const LATTICE: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
+
+/// A ray of a path, with what it carries and how it began.
 struct Leg {
+    /// Events before it.
+    depth: usize,
     origin: DVec3,
     direction: DVec3,
-    throughput: [f64; CHANNELS],
+    /// What it carries, as [`Scattering::importance`] has it: it decides what is followed, not what is found.
+    carried: [f64; CHANNELS],
     skip: Skip,
+    begun: Begun,
+}
+
+impl Leg {
+    fn is_finite(&self) -> bool {
+        let carried = self.carried.iter().all(|c| c.is_finite());
+        carried && self.direction.is_finite() && self.origin.is_finite()
+    }
+}
+
+/// How a leg began.
+enum Begun {
+    Camera,
+    Fiber(Scatter),
+    Plate {
+        weight: [f64; CHANNELS],
+        pdf: f64,
+        from: DVec3,
+        state: usize,
+    },
+}
+
+/// A sampled scattering that goes on.
+struct Scatter {
+    wi: DVec3,
+    wo: DVec3,
+    h: f64,
+    factor: f64,
+    pdf: f64,
+    /// The fiber's axis, from where lamps are looked for.
+    from: DVec3,
+    state: usize,
 }
 
 impl Stage<'_> {
-    /// Follows the path that arrives at the camera along `-toward_camera` through the point `through` of the plane z = 0.
+    /// Follows the path that arrives at the camera along `-toward_camera` through the point `through` of the plane z = 0,
+    /// with all its branches.
     pub(super) fn follow(
         &self,
         through: DVec3,
@@ -78,122 +129,170 @@ impl Stage<'_> {
         visitor: &mut impl Visitor,
     ) {
         let top = self.geometry.z_range()[1];
-        let mut leg = Leg {
+        let mut open = vec![Leg {
+            depth: 0,
             origin: through + toward_camera * (top.max(0.0) / toward_camera.z),
             direction: -toward_camera,
-            throughput: [1.0; CHANNELS],
+            carried: [1.0; CHANNELS],
             skip: Skip::NOTHING,
-        };
-        for depth in 0.. {
-            let next = match self.geometry.closest(leg.origin, leg.direction, &leg.skip) {
-                Ended::Fiber(hit) => self.at_fiber(&leg, hit, depth, random, visitor),
-                Ended::Down => self.at_plate(&leg, depth, random, visitor),
-                Ended::Up => None,
-            };
-            match next {
-                Some(next) => leg = next,
-                None => return,
+            begun: Begun::Camera,
+        }];
+        while let Some(leg) = open.pop() {
+            if !leg.is_finite() {
+                // Found in the result, and reported there.
+                (0..self.lamps.len())
+                    .for_each(|lamp| visitor.arrive(0, lamp, [f64::NAN; CHANNELS]));
+                return;
+            }
+            self.begin(&leg, visitor);
+            match self.geometry.closest(leg.origin, leg.direction, &leg.skip) {
+                Ended::Fiber(hit) => self.at_fiber(&leg, hit, random, visitor, &mut open),
+                Ended::Down => self.at_plate(&leg, random, visitor, &mut open),
+                Ended::Up => {}
             }
         }
     }
 
+    /// Tells of the event with which a leg begins, and of lamps it may meet.
+    fn begin(&self, leg: &Leg, visitor: &mut impl Visitor) {
+        match &leg.begun {
+            Begun::Camera => {}
+            Begun::Fiber(s) => {
+                let evaluation = self.scattering.evaluate(s.wi, s.wo, s.h);
+                let event = Event {
+                    wi: s.wi,
+                    wo: s.wo,
+                    h: s.h,
+                    factor: s.factor,
+                    evaluation: &evaluation,
+                };
+                visitor.bounce(leg.depth - 1, event);
+                visitor.set_out(leg.depth, s.state);
+                self.arrive_on_lamps(leg, s.from, s.pdf, visitor);
+            }
+            Begun::Plate {
+                weight,
+                pdf,
+                from,
+                state,
+            } => {
+                visitor.reflect(leg.depth - 1, *weight);
+                visitor.set_out(leg.depth, *state);
+                self.arrive_on_lamps(leg, *from, *pdf, visitor);
+            }
+        }
+    }
+
+    /// Connects a hit to the lamps, and goes on in a few of the sampled directions, see [`Guide`].
     fn at_fiber(
         &self,
         leg: &Leg,
         hit: Hit,
-        depth: usize,
         random: &mut Random,
         visitor: &mut impl Visitor,
-    ) -> Option<Leg> {
+        open: &mut Vec<Leg>,
+    ) {
         let place = Place::new(self, leg.origin, leg.direction, hit);
         let wo = place.frame.to_local(-leg.direction);
-        self.connect_lamps(&place, wo, leg.throughput, depth, random, visitor);
+        self.connect_lamps(&place, wo, leg, random, visitor);
 
-        let sampled = self.scattering.sample(wo, place.h, random)?;
-        let grown = times(leg.throughput, sampled.weight);
-        let survival = largest(grown).clamp(SURVIVAL_FLOOR, 1.0);
-        if random.uniform() >= survival {
-            return None;
+        let candidates = self.guide.candidates();
+        let share = 1.0 / candidates as f64;
+        let skip = self.geometry.skip(hit.image);
+        let mut comb = Comb::new(random);
+        for _ in 0..candidates {
+            let sampled = self.scattering.sample(wo, place.h, leg.carried, random);
+            let Some(sampled) = sampled else {
+                continue;
+            };
+            let direction = place.frame.to_world(sampled.wi);
+            let grown = times(leg.carried, sampled.weight.map(|w| w * share));
+            let state = self.map.state(place.center, direction);
+            let survival = self.guide.survival(state, grown);
+            if !comb.takes(survival) {
+                continue;
+            }
+            open.push(Leg {
+                depth: leg.depth + 1,
+                origin: place.exit(direction),
+                direction,
+                carried: grown.map(|g| g / survival),
+                skip,
+                begun: Begun::Fiber(Scatter {
+                    wi: sampled.wi,
+                    wo,
+                    h: place.h,
+                    factor: across(sampled.wi) / sampled.pdf * share / survival,
+                    pdf: sampled.pdf,
+                    from: place.center,
+                    state,
+                }),
+            });
         }
-        visitor.bounce(
-            depth,
-            Event {
-                wi: sampled.wi,
-                wo,
-                h: place.h,
-                weight: sampled.weight.map(|w| w / survival),
-                evaluation: &sampled.evaluation,
-            },
-        );
-        let direction = place.frame.to_world(sampled.wi);
-        let next = Leg {
-            origin: place.exit(direction),
-            direction,
-            throughput: grown.map(|g| g / survival),
-            skip: self.geometry.skip(hit.image),
-        };
-        // Asked from the fiber's axis, as in `connect_lamps`, so that both strategies mean the same set of directions.
-        self.arrive_on_lamps(
-            &next,
-            place.center,
-            sampled.evaluation.pdf,
-            depth + 1,
-            visitor,
-        );
-        Some(next)
     }
 
-    /// Next-event estimation: one point on each lamp, weighted against [`Stage::arrive_on_lamps`] by the balance
-    /// heuristic.
+    /// Next-event estimation, weighted against [`Stage::arrive_on_lamps`] by the balance heuristic: where a lobe is narrower
+    /// than a lamp, several of the lamp's points are looked at and one of them, chosen in proportion to what it would add,
+    /// is asked whether it is seen (resampled importance sampling, Talbot 2005).
     fn connect_lamps(
         &self,
         place: &Place,
         wo: DVec3,
-        throughput: [f64; CHANNELS],
-        depth: usize,
+        leg: &Leg,
         random: &mut Random,
         visitor: &mut impl Visitor,
     ) {
         let skip = self.geometry.skip(place.hit.image);
         for (index, lamp) in self.lamps.iter().enumerate() {
-            let Some(point) = lamp.sample(place.center, random) else {
+            let toward = place
+                .frame
+                .to_local((lamp.center() - place.center).normalize());
+            let points = self.scattering.light_points(toward, wo, lamp.half_angle());
+            let shift = [random.uniform(), random.uniform()];
+            let (mut sum, mut chosen) = (0.0, None);
+            for k in 0..points {
+                let uv = std::array::from_fn(|i| (shift[i] + k as f64 * LATTICE[i]).fract());
+                let Some(point) = lamp.point(place.center, uv) else {
+                    continue;
+                };
+                let wi = place.frame.to_local(point.direction);
+                let (value, pdf) = self.scattering.importance(wi, wo, place.h, leg.carried);
+                let cosine = across(wi);
+                let factor =
+                    lamp.normalized_radiance() * cosine / (point.pdf + pdf) / points as f64;
+                let worth = factor * largest(times(leg.carried, value));
+                if worth <= 0.0 {
+                    continue;
+                }
+                sum += worth;
+                // What is not a number goes on and is found in the result.
+                if points == 1 || worth.is_nan() || random.uniform() * sum < worth {
+                    chosen = Some((point.direction, wi, factor, worth));
+                }
+            }
+            let Some((direction, wi, factor, worth)) = chosen else {
                 continue;
             };
-            let wi = place.frame.to_local(point.direction);
-            let (value, pdf) = self.scattering.value(wi, wo, place.h);
-            let cosine = wi.y.hypot(wi.z);
-            let factor = lamp.normalized_radiance() * cosine / (point.pdf + pdf);
-            let worth = factor * largest(times(throughput, value));
-            let odds = (worth / self.worth[index]).clamp(SURVIVAL_FLOOR, 1.0);
-            if worth <= 0.0 || random.uniform() >= odds {
+            let odds = (sum / self.worth[index]).clamp(CONNECTION_FLOOR, 1.0);
+            if random.uniform() >= odds || !self.sees_light(place.exit(direction), direction, &skip)
+            {
                 continue;
             }
-            if self.sees_light(place.exit(point.direction), point.direction, &skip) {
-                let evaluation = self.scattering.evaluate(wi, wo, place.h);
-                visitor.connect(
-                    depth,
-                    index,
-                    Event {
-                        wi,
-                        wo,
-                        h: place.h,
-                        weight: evaluation.value.map(|s| s * factor / odds),
-                        evaluation: &evaluation,
-                    },
-                );
-            }
+            let evaluation = self.scattering.evaluate(wi, wo, place.h);
+            let event = Event {
+                wi,
+                wo,
+                h: place.h,
+                factor: factor * sum / (worth * odds),
+                evaluation: &evaluation,
+            };
+            visitor.connect(leg.depth, index, event);
         }
     }
 
-    /// The leg that begins here may leave the cloth and meet a lamp: `from` is where the other strategy looks from.
-    fn arrive_on_lamps(
-        &self,
-        leg: &Leg,
-        from: DVec3,
-        pdf: f64,
-        depth: usize,
-        visitor: &mut impl Visitor,
-    ) {
+    /// The leg that begins here may leave the cloth and meet a lamp: `from` is where the other strategy looks from, so that
+    /// both mean the same set of directions.
+    fn arrive_on_lamps(&self, leg: &Leg, from: DVec3, pdf: f64, visitor: &mut impl Visitor) {
         let mut free = None;
         for (index, lamp) in self.lamps.iter().enumerate() {
             let Some(lamp_pdf) = lamp.pdf(from, leg.direction) else {
@@ -202,7 +301,8 @@ impl Stage<'_> {
             let sees = || self.sees_light(leg.origin, leg.direction, &leg.skip);
             if *free.get_or_insert_with(sees) {
                 let share = pdf / (pdf + lamp_pdf);
-                visitor.arrive(depth, index, [lamp.normalized_radiance() * share; CHANNELS]);
+                let factor = [lamp.normalized_radiance() * share; CHANNELS];
+                visitor.arrive(leg.depth, index, factor);
             }
         }
     }
@@ -217,17 +317,17 @@ impl Stage<'_> {
     fn at_plate(
         &self,
         leg: &Leg,
-        depth: usize,
         random: &mut Random,
         visitor: &mut impl Visitor,
-    ) -> Option<Leg> {
+        open: &mut Vec<Leg>,
+    ) {
         let Plate::Diffuse(albedo) = self.plate else {
-            return None;
+            return;
         };
         let fall = (self.geometry.z_range()[0] - leg.origin.z) / leg.direction.z;
         let point = leg.origin + leg.direction * fall;
         if !point.is_finite() {
-            return None;
+            return; // a horizontal ray never arrives
         }
         for (index, lamp) in self.lamps.iter().enumerate() {
             let Some(light) = lamp.sample(point, random) else {
@@ -235,28 +335,57 @@ impl Stage<'_> {
             };
             let cosine = light.direction.z;
             if cosine > 0.0 && self.geometry.passes(point, light.direction, &Skip::NOTHING) {
-                let factor = lamp.normalized_radiance() * cosine * FRAC_1_PI
-                    / (light.pdf + cosine * FRAC_1_PI);
-                visitor.arrive(depth, index, albedo.map(|a| a * factor));
+                let pdf = cosine * FRAC_1_PI;
+                let factor = lamp.normalized_radiance() * pdf / (light.pdf + pdf);
+                visitor.arrive(leg.depth, index, albedo.map(|a| a * factor));
             }
         }
-        let survival = largest(times(leg.throughput, albedo)).clamp(SURVIVAL_FLOOR, 1.0);
-        if random.uniform() >= survival {
-            return None;
-        }
-        let weight = albedo.map(|a| a / survival);
-        visitor.reflect(depth, weight);
         let (sin2, turn) = (random.uniform(), TAU * random.uniform());
         let cosine = (1.0 - sin2).sqrt();
         let direction = DVec3::new(sin2.sqrt() * turn.cos(), sin2.sqrt() * turn.sin(), cosine);
-        let next = Leg {
-            origin: point,
-            direction,
-            throughput: times(leg.throughput, weight),
-            skip: Skip::NOTHING,
-        };
-        self.arrive_on_lamps(&next, point, cosine * FRAC_1_PI, depth + 1, visitor);
-        Some(next)
+        let grown = times(leg.carried, albedo);
+        let state = self.map.state(point, direction);
+        let survival = self.guide.survival(state, grown);
+        if random.uniform() < survival {
+            open.push(Leg {
+                depth: leg.depth + 1,
+                origin: point,
+                direction,
+                carried: grown.map(|g| g / survival),
+                skip: Skip::NOTHING,
+                begun: Begun::Plate {
+                    weight: albedo.map(|a| a / survival),
+                    pdf: cosine * FRAC_1_PI,
+                    from: point,
+                    state,
+                },
+            });
+        }
+    }
+}
+
+/// Systematic resampling: of candidates taken with given probabilities, as nearly as possible the expected number is taken.
+struct Comb {
+    sum: f64,
+    next: f64,
+}
+
+impl Comb {
+    fn new(random: &mut Random) -> Self {
+        Self {
+            sum: 0.0,
+            next: random.uniform(),
+        }
+    }
+
+    fn takes(&mut self, probability: f64) -> bool {
+        self.sum += probability;
+        // What is not a number goes on and is found in the result.
+        let taken = self.sum > self.next || self.sum.is_nan();
+        if taken {
+            self.next += 1.0;
+        }
+        taken
     }
 }
 
@@ -266,6 +395,11 @@ fn times(a: [f64; CHANNELS], b: [f64; CHANNELS]) -> [f64; CHANNELS] {
 
 fn largest(v: [f64; CHANNELS]) -> f64 {
     v[0].max(v[1]).max(v[2])
+}
+
+/// Length of a vector's part across the fiber; of a unit vector the cosine to the fiber's normal plane.
+fn across(w: DVec3) -> f64 {
+    (w.y * w.y + w.z * w.z).sqrt()
 }
 
 /// A hit, with the fiber's frame and cross-section.
@@ -290,7 +424,7 @@ impl Place {
         let offset = from_start - tangent * along;
         let frame = Frame::from_tangent(tangent);
         let (n, wo) = (frame.to_local(offset), frame.to_local(-direction));
-        let area = (n.y.hypot(n.z)) * (wo.y.hypot(wo.z));
+        let area = across(n) * across(wo);
         let h = if area > 0.0 {
             ((n.y * wo.z - n.z * wo.y) / area).clamp(-1.0, 1.0)
         } else {

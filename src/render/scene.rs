@@ -1,10 +1,11 @@
 //! A woven or imported fiber tile as a scene: flat swatch, a plate below, square light, camera.
 
 use super::geometry::Geometry;
+use super::guide::{Guide, StateMap};
 use super::light::{Lamp, LightShape};
 use super::path::Stage;
-use super::{Estimates, Request, Scene, estimate};
-use crate::base::{Result, Watch};
+use super::{Estimates, Request, Scene, basic, estimate};
+use crate::base::{Error, Result, Watch};
 use crate::fabric::FiberTile;
 use crate::math::Random;
 use crate::scatter::Model;
@@ -44,7 +45,17 @@ impl View {
     }
 }
 
-/// What surrounds the cloth.
+/// How paths are followed and made estimates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Integrator {
+    /// Made for speed.
+    #[default]
+    Fast,
+    /// Made to be read: the same means and derivatives from plain path tracing, for tests.
+    Basic,
+}
+
+/// What surrounds the cloth, and how it is rendered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FiberSceneOptions {
     /// The light's size and distance.
@@ -55,6 +66,35 @@ pub struct FiberSceneOptions {
     pub plate: Plate,
     /// How the camera projects.
     pub view: View,
+    /// How paths are followed.
+    pub integrator: Integrator,
+}
+
+impl FiberSceneOptions {
+    /// Refuses sizes and distances that are not positive, and albedos outside 0..=1.
+    fn check(&self) -> Result<()> {
+        let mut lengths = vec![
+            ("the light's side", self.light.side),
+            ("the light's distance", self.light.distance),
+            ("the sample square", self.sample_square),
+        ];
+        if let View::Pinhole { distance } = self.view {
+            lengths.push(("the camera's distance", distance));
+        }
+        for (what, length) in lengths {
+            if !(length > 0.0 && length.is_finite()) {
+                return Err(Error::new(format!(
+                    "{what} is {length} mm, expected a positive number"
+                )));
+            }
+        }
+        match self.plate {
+            Plate::Diffuse(albedo) if !albedo.iter().all(|a| (0.0..=1.0).contains(a)) => Err(
+                Error::new(format!("the plate's albedo is {albedo:?}, expected 0 to 1")),
+            ),
+            _ => Ok(()),
+        }
+    }
 }
 
 impl Default for FiberSceneOptions {
@@ -65,6 +105,7 @@ impl Default for FiberSceneOptions {
             sample_square: 10.0,
             plate: Plate::Black,
             view: View::Orthographic,
+            integrator: Integrator::Fast,
         }
     }
 }
@@ -72,6 +113,7 @@ impl Default for FiberSceneOptions {
 /// Fibers on a periodic tile above a plate.
 pub struct FiberScene {
     pub(super) geometry: Geometry,
+    map: StateMap,
     pub(super) model: &'static dyn Model,
     pub(super) options: FiberSceneOptions,
     pub(super) tile_size: [f64; 2],
@@ -90,14 +132,17 @@ impl FiberScene {
     /// Builds the acceleration structure of `tile`.
     ///
     /// # Errors
-    /// When the tile has no segments, its size has no meaning, or a segment is not finite.
+    /// When the tile has no segments, its size has no meaning, a segment is not finite, or an option is out of range.
     pub fn new(
         tile: &FiberTile,
         model: &'static dyn Model,
         options: FiberSceneOptions,
     ) -> Result<Self> {
+        options.check()?;
+        let geometry = Geometry::new(tile)?;
         Ok(Self {
-            geometry: Geometry::new(tile)?,
+            map: StateMap::new(&geometry, tile.size),
+            geometry,
             model,
             options,
             tile_size: tile.size,
@@ -108,6 +153,26 @@ impl FiberScene {
         configurations
             .map(|c| Lamp::new(self.options.light, c.light_in_sample()))
             .collect()
+    }
+
+    /// Refuses poses whose camera stands inside the cloth.
+    pub(super) fn check_poses(&self, configurations: &[Configuration]) -> Result<()> {
+        let View::Pinhole { distance } = self.options.view else {
+            return Ok(());
+        };
+        let top = self.geometry.z_range()[1];
+        for c in configurations {
+            let height = distance * c.camera.theta.cos();
+            if height <= top {
+                return Err(Error::new(format!(
+                    "configuration {}: the camera is {height:.3} mm above the sample plane, in the cloth, which reaches \
+                     {top:.3} mm",
+                    c.id
+                ))
+                .with_hint("a larger camera distance"));
+            }
+        }
+        Ok(())
     }
 
     /// A uniform point of the sample square on the plane z = 0.
@@ -125,6 +190,7 @@ impl FiberScene {
         scattering: &'a dyn crate::scatter::Scattering,
         lamps: &'a [Lamp],
         worth: &'a [f64],
+        guide: &'a Guide,
     ) -> Stage<'a> {
         Stage {
             geometry: &self.geometry,
@@ -132,6 +198,8 @@ impl FiberScene {
             lamps,
             worth,
             plate: self.options.plate,
+            map: &self.map,
+            guide,
         }
     }
 }
@@ -142,6 +210,11 @@ impl Scene for FiberScene {
     }
 
     fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates> {
-        estimate::estimate(self, request, watch)
+        request.check()?;
+        self.check_poses(request.configurations)?;
+        match self.options.integrator {
+            Integrator::Fast => estimate::estimate(self, request, watch),
+            Integrator::Basic => basic::estimate(self, request, watch),
+        }
     }
 }

@@ -4,10 +4,13 @@
 //! nothing is loaded from elsewhere.
 
 mod charts;
+pub mod contact_sheet;
+pub mod diverging;
 mod html;
 pub mod linear_picture;
 pub mod measurement;
 mod page;
+mod png_file;
 pub mod preview;
 mod svg;
 pub mod swatch;

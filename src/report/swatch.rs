@@ -2,10 +2,10 @@
 //!
 //! For the eye only: plain diffuse shading from the upper left, no shadows, no scattering model.
 
-use crate::base::{Context, Error, Result};
+use super::png_file;
+use crate::base::{Error, Result};
 use glam::DVec3;
-use image::{ImageFormat, Rgb, RgbImage};
-use std::io::Cursor;
+use image::{Rgb, RgbImage};
 
 /// One fiber to draw.
 #[derive(Debug, Clone)]
@@ -106,11 +106,7 @@ pub fn picture(lines: &[Line], size: [f64; 2], width: u32) -> Result<Vec<u8>> {
     );
     image::imageops::replace(&mut whole, &above, 0, 0);
     image::imageops::replace(&mut whole, &below, 0, i64::from(above.height() + GAP));
-    let mut bytes = Cursor::new(Vec::new());
-    whole
-        .write_to(&mut bytes, ImageFormat::Png)
-        .context(|| "the picture cannot be encoded")?;
-    Ok(bytes.into_inner())
+    png_file::encode(&whole, &[])
 }
 
 /// Draws all lines with a depth buffer; `range` is the depth over which colors darken.

@@ -1,7 +1,7 @@
 //! A scattering function sampled from a mixture with a wider one (Hesterberg 1995), so that its paths can be used again at
 //! parameters with wider lobes.
 
-use super::{CHANNELS, Evaluation, Passage, Sampled, Scattering};
+use super::{BatchEvaluate, CHANNELS, Evaluation, Passage, Sampled, Scattering};
 use crate::math::Random;
 use glam::DVec3;
 
@@ -16,40 +16,51 @@ pub struct Defensive<'a> {
     pub share: f64,
 }
 
-impl Defensive<'_> {
-    fn mixed(&self, at: f64, wide: f64) -> f64 {
-        (1.0 - self.share) * at + self.share * wide
-    }
-}
-
 impl Scattering for Defensive<'_> {
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation {
-        let at = self.at.evaluate(wi, wo, h);
-        let wide = self.wide.value(wi, wo, h).1;
-        Evaluation {
-            pdf: self.mixed(at.pdf, wide),
-            ..at
-        }
+        self.at.evaluate(wi, wo, h)
     }
 
-    fn value(&self, wi: DVec3, wo: DVec3, h: f64) -> ([f64; CHANNELS], f64) {
-        let (value, pdf) = self.at.value(wi, wo, h);
-        (value, self.mixed(pdf, self.wide.value(wi, wo, h).1))
+    fn importance(
+        &self,
+        wi: DVec3,
+        wo: DVec3,
+        h: f64,
+        carried: [f64; CHANNELS],
+    ) -> ([f64; CHANNELS], f64) {
+        let (value, at) = self.at.importance(wi, wo, h, carried);
+        let wide = self.wide.importance(wi, wo, h, carried).1;
+        (value, (1.0 - self.share) * at + self.share * wide)
     }
 
-    fn sample(&self, wo: DVec3, h: f64, random: &mut Random) -> Option<Sampled> {
+    fn sample(
+        &self,
+        wo: DVec3,
+        h: f64,
+        carried: [f64; CHANNELS],
+        random: &mut Random,
+    ) -> Option<Sampled> {
         let from_wide = random.uniform() < self.share;
-        let drawn = if from_wide { self.wide } else { self.at }.sample(wo, h, random)?;
-        let evaluation = self.evaluate(drawn.wi, wo, h);
-        let factor = drawn.wi.y.hypot(drawn.wi.z) / evaluation.pdf;
+        let drawn = if from_wide { self.wide } else { self.at };
+        let wi = drawn.sample(wo, h, carried, random)?.wi;
+        let (value, pdf) = self.importance(wi, wo, h, carried);
+        let factor = wi.y.hypot(wi.z) / pdf;
         Some(Sampled {
-            wi: drawn.wi,
-            weight: evaluation.value.map(|s| s * factor),
-            evaluation,
+            wi,
+            weight: value.map(|s| s * factor),
+            pdf,
         })
+    }
+
+    fn light_points(&self, wi: DVec3, wo: DVec3, half_angle: f64) -> usize {
+        self.at.light_points(wi, wo, half_angle)
     }
 
     fn passage(&self) -> Passage {
         self.at.passage()
+    }
+
+    fn batch(&self) -> Option<Box<dyn BatchEvaluate>> {
+        self.at.batch()
     }
 }

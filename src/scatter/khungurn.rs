@@ -90,6 +90,12 @@ impl Model for Khungurn {
 /// Least share of the samples that each lobe gets, so that derivatives by a color near zero stay sampled.
 const LEAST_SHARE: f64 = 0.05;
 
+/// Least color by which paths are followed: at a color of zero, a path carries derivatives where it carries no light.
+const LEAST_COLOR: f64 = 0.01;
+
+/// Most points of a light that are looked at.
+const MOST_LIGHT_POINTS: usize = 16;
+
 /// Below this `cos theta` a direction lies on the fiber's axis.
 const ON_AXIS: f64 = 1e-100;
 
@@ -98,13 +104,11 @@ const ON_AXIS: f64 = 1e-100;
 pub struct KhungurnScattering {
     c_r: [f64; CHANNELS],
     c_tt: [f64; CHANNELS],
+    /// The colors by which paths are sampled and followed.
+    followed: [[f64; CHANNELS]; 2],
     r: LongitudinalLobe,
     tt: LongitudinalLobe,
     azimuthal: VonMises,
-    /// Channel mean of C_R.
-    mean_r: f64,
-    /// Channel mean of C_TT (1 - C_R).
-    mean_tt: f64,
 }
 
 impl KhungurnScattering {
@@ -119,34 +123,37 @@ impl KhungurnScattering {
             }
         }
         let (c_r, c_tt) = (parameters.channels("c_r"), parameters.channels("c_tt"));
-        let mean = |f: &dyn Fn(usize) -> f64| (0..CHANNELS).map(f).sum::<f64>() / CHANNELS as f64;
         Ok(Self {
             c_r,
             c_tt,
+            followed: [c_r, c_tt].map(|color| color.map(|c| c.max(LEAST_COLOR))),
             r: LongitudinalLobe::new(parameters.scalar("beta_r")),
             tt: LongitudinalLobe::new(parameters.scalar("beta_tt")),
             azimuthal: VonMises::new(parameters.scalar("gamma_tt")),
-            mean_r: mean(&|c| c_r[c]),
-            mean_tt: mean(&|c| c_tt[c] * (1.0 - c_r[c])),
         })
     }
 
-    /// The probability that [`Scattering::sample`] draws from the R lobe: by the channel means of the two lobes' strengths
-    /// at `theta_i = -theta_o`, held within 5 and 95 percent.
-    fn share_of_r(&self, o: &FiberAngles) -> f64 {
+    /// The probability that [`Scattering::sample`] draws from the R lobe: by the two lobes' strengths at
+    /// `theta_i = -theta_o`, as the root mean square of what the channels carry of them, held within 5 and 95 percent.
+    fn share_of_r(&self, o: &FiberAngles, carried: [f64; CHANNELS]) -> f64 {
         let w5 = o.schlick();
-        let r = self.mean_r + (1.0 - self.mean_r) * w5;
-        let tt = self.mean_tt * (1.0 - w5);
+        let (mut r, mut tt) = (0.0, 0.0);
+        for c in 0..CHANNELS {
+            let [c_r, c_tt] = self.followed.map(|color| color[c]);
+            let f = c_r + (1.0 - c_r) * w5;
+            r += (carried[c] * f).powi(2);
+            tt += (carried[c] * c_tt * (1.0 - f)).powi(2);
+        }
+        let (r, tt) = (r.sqrt(), tt.sqrt());
         let share = if r + tt <= 0.0 { 0.5 } else { r / (r + tt) };
         share.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE)
     }
 
-    /// Value, derivatives and pdf, and beside them `pdf * cos(theta_i)`, which stays finite at the poles.
-    fn evaluate_angles(&self, i: &FiberAngles, o: &FiberAngles) -> (Evaluation, f64) {
+    /// The lobes at a pair of directions, each with strength 1.
+    fn lobes(&self, i: &FiberAngles, o: &FiberAngles) -> Lobes {
         let delta = 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t);
         let square = delta * delta;
-
-        // Lobes with unit strength: R = gbar/(2 pi), TT = gbar N. One exponential each.
+        // R = gbar/(2 pi), TT = gbar N. One exponential each.
         let (az_y, az_z) = (i.az_y + o.az_y, i.az_z + o.az_z);
         let cos_minus_1 = -0.5 * (az_y * az_y + az_z * az_z);
         let gauss_r = self.r.scale * (-square * self.r.half_inverse_square).exp() / TAU;
@@ -156,55 +163,118 @@ impl KhungurnScattering {
         let (g_r, g_r_by_sigma) = self.r.table.normalizer(i.t);
         let (g_tt, g_tt_by_sigma) = self.tt.table.normalizer(i.t);
         let (inverse_r, inverse_tt) = (1.0 / g_r, 1.0 / g_tt);
-        let (lobe_r, lobe_tt) = (gauss_r * inverse_r, gauss_tt * inverse_tt);
-
-        // d ln(lobe) / d width.
-        let log_r = (2.0 * square * self.r.half_inverse_square - 1.0) * self.r.inverse_width
-            - g_r_by_sigma * inverse_r;
-        let log_tt = (2.0 * square * self.tt.half_inverse_square - 1.0) * self.tt.inverse_width
-            - g_tt_by_sigma * inverse_tt;
-        let log_gamma = (cos_minus_1 + self.azimuthal.deficit) * self.azimuthal.k_by_gamma;
-
-        let w5 = i.schlick();
-        let mut value = [0.0; CHANNELS];
-        let mut derivative = [[0.0; CHANNELS]; MAX_ROWS];
-        for c in 0..CHANNELS {
-            let f = self.c_r[c] + (1.0 - self.c_r[c]) * w5;
-            let r = f * lobe_r;
-            let tt_by_c_tt = (1.0 - f) * lobe_tt;
-            let tt = self.c_tt[c] * tt_by_c_tt;
-            value[c] = r + tt;
-            derivative[0][c] = (1.0 - w5) * (lobe_r - self.c_tt[c] * lobe_tt);
-            derivative[1][c] = tt_by_c_tt;
-            derivative[2][c] = r * log_r;
-            derivative[3][c] = tt * log_tt;
-            derivative[4][c] = tt * log_gamma;
+        Lobes {
+            square,
+            cos_minus_1,
+            gauss_r,
+            gauss_tt,
+            r: gauss_r * inverse_r,
+            tt: gauss_tt * inverse_tt,
+            log_g_r_by_sigma: g_r_by_sigma * inverse_r,
+            log_g_tt_by_sigma: g_tt_by_sigma * inverse_tt,
+            w5: i.schlick(),
         }
-
-        // The mixture that `sample` draws from, as a density of (theta, phi) rather than of solid angle.
-        let share = self.share_of_r(o);
-        let density = share * gauss_r / self.r.table.mass(o.t)
-            + (1.0 - share) * gauss_tt / self.tt.table.mass(o.t);
-        let evaluation = Evaluation {
-            value,
-            derivative,
-            pdf: density / i.cos_theta,
-        };
-        (evaluation, density)
     }
+
+    /// `S` per channel, for fibers of colors C_R and C_TT.
+    fn value(lobes: &Lobes, [c_r, c_tt]: [[f64; CHANNELS]; 2]) -> [f64; CHANNELS] {
+        std::array::from_fn(|c| {
+            let f = c_r[c] + (1.0 - c_r[c]) * lobes.w5;
+            f * lobes.r + c_tt[c] * (1.0 - f) * lobes.tt
+        })
+    }
+
+    /// The mixture that `sample` draws from, as a density of (theta, phi) rather than of solid angle: it stays finite at
+    /// the poles.
+    fn mixture(&self, lobes: &Lobes, o: &FiberAngles, carried: [f64; CHANNELS]) -> f64 {
+        let share = self.share_of_r(o, carried);
+        share * lobes.gauss_r / self.r.table.mass(o.t)
+            + (1.0 - share) * lobes.gauss_tt / self.tt.table.mass(o.t)
+    }
+}
+
+/// What value and derivatives share.
+struct Lobes {
+    /// `(theta_i + theta_o)^2`.
+    square: f64,
+    /// `cos(phi_o - phi_i - pi) - 1`.
+    cos_minus_1: f64,
+    /// The lobes before division by G.
+    gauss_r: f64,
+    gauss_tt: f64,
+    r: f64,
+    tt: f64,
+    /// `d ln G / d sigma`.
+    log_g_r_by_sigma: f64,
+    log_g_tt_by_sigma: f64,
+    /// `(1 - cos theta_i)^5`.
+    w5: f64,
 }
 
 impl Scattering for KhungurnScattering {
     fn evaluate(&self, wi: DVec3, wo: DVec3, _h: f64) -> Evaluation {
-        self.evaluate_angles(&FiberAngles::new(wi), &FiberAngles::new(wo))
-            .0
+        let lobes = self.lobes(&FiberAngles::new(wi), &FiberAngles::new(wo));
+        // d ln(lobe) / d width.
+        let log_r = (2.0 * lobes.square * self.r.half_inverse_square - 1.0) * self.r.inverse_width
+            - lobes.log_g_r_by_sigma;
+        let log_tt = (2.0 * lobes.square * self.tt.half_inverse_square - 1.0)
+            * self.tt.inverse_width
+            - lobes.log_g_tt_by_sigma;
+        let log_gamma = (lobes.cos_minus_1 + self.azimuthal.deficit) * self.azimuthal.k_by_gamma;
+        let mut derivative = [[0.0; CHANNELS]; MAX_ROWS];
+        for c in 0..CHANNELS {
+            let f = self.c_r[c] + (1.0 - self.c_r[c]) * lobes.w5;
+            let tt_by_c_tt = (1.0 - f) * lobes.tt;
+            let tt = self.c_tt[c] * tt_by_c_tt;
+            derivative[0][c] = (1.0 - lobes.w5) * (lobes.r - self.c_tt[c] * lobes.tt);
+            derivative[1][c] = tt_by_c_tt;
+            derivative[2][c] = f * lobes.r * log_r;
+            derivative[3][c] = tt * log_tt;
+            derivative[4][c] = tt * log_gamma;
+        }
+        Evaluation {
+            value: Self::value(&lobes, [self.c_r, self.c_tt]),
+            derivative,
+        }
+    }
+
+    fn importance(
+        &self,
+        wi: DVec3,
+        wo: DVec3,
+        _h: f64,
+        carried: [f64; CHANNELS],
+    ) -> ([f64; CHANNELS], f64) {
+        let (i, o) = (FiberAngles::new(wi), FiberAngles::new(wo));
+        let lobes = self.lobes(&i, &o);
+        let pdf = self.mixture(&lobes, &o, carried) / i.cos_theta;
+        (Self::value(&lobes, self.followed), pdf)
+    }
+
+    /// One for each width of the R lobe within the light's angular radius, where that lobe matters.
+    fn light_points(&self, wi: DVec3, wo: DVec3, half_angle: f64) -> usize {
+        if half_angle < 2.0 * self.r.width {
+            return 1;
+        }
+        let (i, o) = (FiberAngles::new(wi), FiberAngles::new(wo));
+        let off = 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t);
+        if off.abs() > half_angle + 4.0 * self.r.width {
+            return 1;
+        }
+        ((half_angle / self.r.width) as usize).clamp(1, MOST_LIGHT_POINTS)
     }
 
     /// One of the lobes is chosen; theta_i is normal about -theta_o, truncated to [-pi/2, pi/2]; the azimuth is uniform for
     /// R and von Mises about phi_o + pi for TT. The density is that of the mixture.
-    fn sample(&self, wo: DVec3, _h: f64, random: &mut Random) -> Option<Sampled> {
+    fn sample(
+        &self,
+        wo: DVec3,
+        _h: f64,
+        carried: [f64; CHANNELS],
+        random: &mut Random,
+    ) -> Option<Sampled> {
         let o = FiberAngles::new(wo);
-        let from_r = random.uniform() < self.share_of_r(&o);
+        let from_r = random.uniform() < self.share_of_r(&o, carried);
         let lobe = if from_r { &self.r } else { &self.tt };
         let (sin_theta, cos_theta) = lobe.sample(-2.0 * o.t.atan(), random).sin_cos();
         // Azimuth relative to phi_o + pi, as cosine and sine.
@@ -225,13 +295,14 @@ impl Scattering for KhungurnScattering {
             az_y,
             az_z,
         };
-        let (evaluation, density) = self.evaluate_angles(&i, &o);
+        let lobes = self.lobes(&i, &o);
+        let density = self.mixture(&lobes, &o, carried);
         // S cos(theta_i) / pdf = S cos^2(theta_i) / density: no division by a cosine.
         let factor = cos_theta * cos_theta / density;
         Some(Sampled {
             wi: DVec3::new(sin_theta, cos_theta * az_y, cos_theta * az_z),
-            weight: evaluation.value.map(|s| s * factor),
-            evaluation,
+            weight: Self::value(&lobes, self.followed).map(|s| s * factor),
+            pdf: density / cos_theta,
         })
     }
 

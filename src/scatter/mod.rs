@@ -37,8 +37,6 @@ pub struct Evaluation {
     /// `derivative[row][channel]`: by the model's parameter `row` ([`Model::parameters`] order; angles per radian).
     /// For a per-channel parameter it is by that channel's own value. Rows past the model's length are zero.
     pub derivative: [[f64; CHANNELS]; MAX_ROWS],
-    /// Density per solid angle with which [`Scattering::sample`] would have chosen `wi`, 1/sr.
-    pub pdf: f64,
 }
 
 /// A sampled direction toward the light.
@@ -46,10 +44,10 @@ pub struct Evaluation {
 pub struct Sampled {
     /// The sampled direction (unit, fiber frame).
     pub wi: DVec3,
-    /// `S(wi, wo) cos(theta_i) / pdf` per channel. May exceed 1.
+    /// `S(wi, wo) cos(theta_i) / pdf` per channel, with `S` as [`Scattering::importance`] has it. May exceed 1.
     pub weight: [f64; CHANNELS],
-    /// Value, derivatives and density at (`wi`, `wo`).
-    pub evaluation: Evaluation,
+    /// Density per solid angle with which `wi` was chosen, 1/sr.
+    pub pdf: f64,
 }
 
 /// Where a path that meets a fiber leaves it again.
@@ -68,17 +66,35 @@ pub enum Passage {
 /// `h` in (-1, 1) is where across the fiber the camera side of the path meets it: the sine of the azimuth from the outward
 /// normal at the hit to `wo` (`gamma_o` of Chiang 2016). Far-field functions do not use it.
 pub trait Scattering: Send + Sync {
-    /// Scattering function, derivatives and sampling density.
+    /// Scattering function and derivatives.
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation;
 
-    /// Scattering function and sampling density alone: the same numbers as [`Scattering::evaluate`]'s `value` and `pdf`.
-    fn value(&self, wi: DVec3, wo: DVec3, h: f64) -> ([f64; CHANNELS], f64) {
-        let e = self.evaluate(wi, wo, h);
-        (e.value, e.pdf)
-    }
+    /// What is worth following, and the density per solid angle with which [`Scattering::sample`] chooses `wi`, 1/sr: the
+    /// scattering function, but not zero where only its derivatives live, as at a color of zero.
+    fn importance(
+        &self,
+        wi: DVec3,
+        wo: DVec3,
+        h: f64,
+        carried: [f64; CHANNELS],
+    ) -> ([f64; CHANNELS], f64);
 
     /// Draws `wi` given `wo`, in proportion to roughly `S cos(theta_i)`. `None` when no light can come back.
-    fn sample(&self, wo: DVec3, h: f64, random: &mut Random) -> Option<Sampled>;
+    ///
+    /// `carried` says how much each channel of the path counts, in any common unit: sampling for a channel that the path
+    /// has lost would let the weights of the others grow from event to event.
+    fn sample(
+        &self,
+        wo: DVec3,
+        h: f64,
+        carried: [f64; CHANNELS],
+        random: &mut Random,
+    ) -> Option<Sampled>;
+
+    /// How many points on a light of angular radius `half_angle` seen toward `wi` make its integral smooth.
+    fn light_points(&self, _wi: DVec3, _wo: DVec3, _half_angle: f64) -> usize {
+        1
+    }
 
     /// Where a path leaves the fiber.
     fn passage(&self) -> Passage {

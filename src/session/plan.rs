@@ -21,6 +21,22 @@ pub struct Configuration {
 }
 
 impl Configuration {
+    /// The pose whose light and camera have these polar angles and azimuths, all in degrees.
+    ///
+    /// # Errors
+    /// A polar angle is not in 0 <= theta < 90, or another angle is beyond two turns.
+    pub fn from_degrees(id: u32, light: [f64; 2], camera: [f64; 2], rotation: f64) -> Result<Self> {
+        ConfigurationRow {
+            config: id,
+            light_theta_deg: light[0],
+            light_phi_deg: light[1],
+            camera_theta_deg: camera[0],
+            camera_phi_deg: camera[1],
+            rotation_deg: rotation,
+        }
+        .checked()
+    }
+
     /// Toward the light, in the sample frame (x weft, y warp).
     pub fn light_in_sample(&self) -> PolarDirection {
         self.light.in_sample_frame(self.rotation)

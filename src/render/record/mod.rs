@@ -15,8 +15,9 @@ mod trust;
 pub use pair::RecordingPair;
 pub use trust::{ConfigurationTrust, TRUST_THRESHOLD, Trust};
 
+use super::allocation::{Group, groups};
 use super::estimate::{self, cpu_seconds};
-use super::scene::FiberScene;
+use super::scene::{FiberScene, Integrator};
 use super::{Estimates, Request};
 use crate::base::{Error, Result, Watch};
 use crate::scatter::{BatchEvaluate, CHANNELS, Defensive, Model, OneByOne, Parameters, Scattering};
@@ -64,8 +65,6 @@ pub struct Recording {
     /// Per group: its configurations, in the order of its lamps.
     members: Vec<Vec<usize>>,
     batches: Vec<RecordedBatch>,
-    /// Events whose factor is not known.
-    lost: u64,
     /// Per group and lamp: inverses of the means at the parameters of the recording, so that no channel outshines the others
     /// where paths are weighed against each other.
     weights: Vec<Vec<[f32; CHANNELS]>>,
@@ -92,18 +91,20 @@ impl std::fmt::Debug for Recording {
 }
 
 impl FiberScene {
-    /// Traces the request's paths as [`super::Scene::estimate`] does and records them. Without defensive sampling they are the
+    /// Traces the request's paths as [`super::Scene::estimate`] does with [`Integrator::Fast`] and records them. Without defensive sampling they are the
     /// same paths.
     ///
     /// # Errors
-    /// As [`super::Scene::estimate`]; when the options have no meaning; when the recording would exceed its budget.
+    /// As [`super::Scene::estimate`]; when the integrator is another; when the options have no meaning; when the recording would exceed its budget.
     pub fn record(
         &self,
         request: &Request<'_>,
         options: &RecordOptions,
         watch: &dyn Watch,
     ) -> Result<Recording> {
-        check(options)?;
+        request.check()?;
+        self.check_poses(request.configurations)?;
+        check(options, self.options.integrator)?;
         let at = self.model.prepare(request.parameters)?;
         let kernel = kernel(&*at);
         let widened = self.model.widened(request.parameters, options.widening);
@@ -118,46 +119,47 @@ impl FiberScene {
         } else {
             &*at
         };
-        let planned = estimate::plan(self, sampled, request, watch)?;
-        let round = planned.round(self, sampled, request);
+        let groups = groups(self, request.configurations);
+        let round = estimate::plan(self, sampled, &groups, request, watch)?;
         let used = AtomicU64::new(0);
-        let recorded = round.batches(watch, |batch| {
-            let n_lamps = planned.groups[batch.group].members.len();
-            let mut recorder = Recorder::new(&*kernel, n_lamps);
-            round.follow(&batch, &mut recorder, Recorder::end_path);
-            let (pages, lost) = recorder.finish()?;
+        let recorded = round.run(watch, |batch| {
+            let mut recorder = Recorder::new(&*kernel, groups[batch.group].lamps.len());
+            round.trace(batch, &mut recorder, Recorder::end_path);
+            let pages = recorder.finish()?;
             let bytes: usize = pages.iter().map(Page::bytes).sum();
             let total = used.fetch_add(bytes as u64, Ordering::Relaxed) + bytes as u64;
             if total > options.budget {
-                return Err(over_budget(options.budget, planned.paths.iter().sum()));
+                return Err(over_budget(options.budget, round.total_paths()));
             }
-            Ok((pages, lost))
+            Ok(pages)
         })?;
-        let lost = recorded.iter().map(|(_, (_, lost))| lost).sum();
-        let batches = recorded
-            .into_iter()
-            .map(|(batch, (pages, _))| RecordedBatch {
-                group: batch.group,
-                paths: batch.paths,
-                pages,
-            });
+        let batches = recorded.into_iter().map(|(batch, pages)| RecordedBatch {
+            group: batch.group,
+            paths: batch.paths,
+            pages,
+        });
         let ids = request.configurations.iter().enumerate();
-        let ones = |g: &estimate::Group| vec![[1.0; CHANNELS]; g.members.len()];
+        let ones = |g: &Group| vec![[1.0; CHANNELS]; g.members.len()];
         let mut recording = Recording {
             model: self.model,
             parameters: request.parameters.clone(),
-            configurations: ids.map(|(i, c)| (c.id, planned.paths_of(i))).collect(),
-            members: planned.groups.iter().map(|g| g.members.clone()).collect(),
+            configurations: ids.map(|(i, c)| (c.id, round.paths_of(i))).collect(),
+            members: groups.iter().map(|g| g.members.clone()).collect(),
             batches: batches.collect(),
-            lost,
-            weights: planned.groups.iter().map(ones).collect(),
+            weights: groups.iter().map(ones).collect(),
         };
         recording.weigh(&*kernel);
         Ok(recording)
     }
 }
 
-fn check(options: &RecordOptions) -> Result<()> {
+fn check(options: &RecordOptions, integrator: Integrator) -> Result<()> {
+    if integrator != Integrator::Fast {
+        return Err(Error::new(format!(
+            "paths of the {integrator:?} integrator cannot be recorded"
+        ))
+        .with_hint("record with the fast integrator: it estimates the same means"));
+    }
     if !(0.0..1.0).contains(&options.defensive) {
         return Err(Error::new(format!(
             "defensive share {}: expected 0 to below 1",
@@ -255,7 +257,6 @@ impl Recording {
             },
             trust: Trust {
                 configurations: configurations().map(trust).collect(),
-                lost: self.lost,
             },
         })
     }
@@ -316,9 +317,9 @@ impl Recording {
 mod tests {
     use super::*;
     use crate::math::Random;
-    use crate::render::estimate::Summation;
     use crate::render::path::{Event, Visitor};
-    use crate::scatter::{Evaluation, Khungurn};
+    use crate::render::summation::Summation;
+    use crate::scatter::Khungurn;
     use glam::DVec3;
 
     /// Both visitors see the same path.
@@ -348,15 +349,15 @@ mod tests {
         let wo = DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
         let event = |random: &mut Random, use_it: &mut dyn FnMut(Event<'_>)| {
             let factor = 0.3 + random.uniform();
-            let Some(sampled) = at.sample(wo, 0.0, random) else {
+            let Some(sampled) = at.sample(wo, 0.0, [1.0; CHANNELS], random) else {
                 return;
             };
-            let evaluation: Evaluation = sampled.evaluation;
+            let evaluation = at.evaluate(sampled.wi, wo, 0.0);
             use_it(Event {
                 wi: sampled.wi,
                 wo,
                 h: 0.0,
-                weight: evaluation.value.map(|s| s * factor / evaluation.value[1]),
+                factor: factor / evaluation.value[1],
                 evaluation: &evaluation,
             });
         };
@@ -390,8 +391,8 @@ mod tests {
             grow(0, &*at, &mut random, &mut both);
             both.1.end_path();
         }
-        let (pages, lost) = both.1.finish().unwrap();
-        assert!(pages.len() > 3 && lost == 0);
+        let pages = both.1.finish().unwrap();
+        assert!(pages.len() > 3);
         let mut sums = [LampSums::default(); 2];
         let mut wrong = [LampSums::default(); 2];
         let mut replay = Replay::default();

@@ -152,7 +152,6 @@ pub(super) struct Recorder<'a> {
     reached: Vec<u32>,
     open: Page,
     pages: Vec<Page>,
-    lost: u64,
     fault: Option<Error>,
 }
 
@@ -165,7 +164,6 @@ impl<'a> Recorder<'a> {
             reached: Vec::new(),
             open: Page::new(kernel.columns(), n_lamps),
             pages: Vec::new(),
-            lost: 0,
             fault: None,
         }
     }
@@ -230,29 +228,22 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// The pages once all paths have ended, and how many events were lost, see [`Recorder::frozen`].
-    pub(super) fn finish(mut self) -> Result<(Vec<Page>, u64)> {
+    /// The pages once all paths have ended.
+    pub(super) fn finish(mut self) -> Result<Vec<Page>> {
         self.close_page();
         match self.fault {
             Some(fault) => Err(fault),
-            None => Ok((self.pages, self.lost)),
+            None => Ok(self.pages),
         }
     }
 
-    /// The weight's part that does not depend on the parameters, from the channel that tells it best. Where `S` is zero in
-    /// all of them the weight tells nothing: the event stays dark at other parameters too, and counts as lost.
-    fn frozen(&mut self, event: &Event<'_>) -> f32 {
-        let value = &event.evaluation.value;
-        let best = (0..CHANNELS).fold(0, |best, c| if value[c] > value[best] { c } else { best });
-        if value[best] == 0.0 && event.weight[best] == 0.0 {
-            self.lost += 1;
-            return 0.0;
-        }
-        let factor = (event.weight[best] / value[best]) as f32;
+    /// The event's factor; one that `f32` cannot hold is a fault.
+    fn factor(&mut self, event: &Event<'_>) -> f32 {
+        let factor = event.factor as f32;
         if !factor.is_finite() && self.fault.is_none() {
             self.fault = Some(Error::new(format!(
-                "an event of weight {:?} and S {value:?} at wi {}, wo {} cannot be recorded: its factor is {factor}",
-                event.weight, event.wi, event.wo
+                "an event at wi {}, wo {} cannot be recorded: its factor is {}",
+                event.wi, event.wo, event.factor
             )));
         }
         factor
@@ -270,7 +261,7 @@ impl<'a> Recorder<'a> {
 impl Visitor for Recorder<'_> {
     fn bounce(&mut self, depth: usize, event: Event<'_>) {
         let footprint = self.kernel.footprint(event.wi, event.wo, event.h);
-        let factor = self.frozen(&event);
+        let factor = self.factor(&event);
         self.push(depth, What::Bounce { footprint, factor });
     }
 
@@ -281,7 +272,7 @@ impl Visitor for Recorder<'_> {
 
     fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>) {
         let footprint = self.kernel.footprint(event.wi, event.wo, event.h);
-        let factor = self.frozen(&event);
+        let factor = self.factor(&event);
         self.push(
             depth,
             What::Connect {

@@ -7,7 +7,7 @@
 
 use super::recorder::{Events, Page};
 use super::trust::Shares;
-use crate::render::estimate::Sums;
+use crate::render::summation::Sums;
 use crate::scatter::{BatchEvaluate, BatchValues, CHANNELS};
 
 /// A color in four lanes; the last means nothing.

@@ -72,9 +72,6 @@ impl Shares {
 pub struct Trust {
     /// One per configuration.
     pub configurations: Vec<ConfigurationTrust>,
-    /// Events at which `S` was zero in all channels when they were recorded: what they would carry at other parameters
-    /// is not known. Zero for models that scatter something everywhere.
-    pub lost: u64,
 }
 
 impl Trust {
@@ -84,9 +81,9 @@ impl Trust {
         ratios.fold(f64::INFINITY, f64::min)
     }
 
-    /// Are all configurations' ratios at least `threshold` (see [`TRUST_THRESHOLD`]), and is nothing lost?
+    /// Are all configurations' ratios at least `threshold` (see [`TRUST_THRESHOLD`])?
     pub fn holds(&self, threshold: f64) -> bool {
-        self.lost == 0 && self.least_ratio() >= threshold
+        self.least_ratio() >= threshold
     }
 
     /// Per configuration the one of two recordings that is trusted less.
@@ -97,7 +94,6 @@ impl Trust {
         };
         Self {
             configurations: pairs.map(lesser).collect(),
-            lost: self.lost + other.lost,
         }
     }
 }

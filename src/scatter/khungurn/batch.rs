@@ -337,7 +337,7 @@ mod tests {
             let wo = DVec3::new(u(), u(), u()).normalize();
             let wi = match expected.len() % 4 {
                 0 => DVec3::new(u(), u(), u()).normalize(),
-                _ => s.sample(wo, 0.0, &mut random).unwrap().wi,
+                _ => s.sample(wo, 0.0, [1.0; CHANNELS], &mut random).unwrap().wi,
             };
             let footprint = kernel.footprint(wi, wo, 0.0);
             (0..3).for_each(|k| columns[k].push(footprint[k]));
@@ -409,7 +409,7 @@ mod tests {
         for _ in 0..200 {
             let mut u = || 2.0 * random.uniform() - 1.0;
             let wo = DVec3::new(u(), u(), u()).normalize();
-            let wi = s.sample(wo, 0.0, &mut random).unwrap().wi;
+            let wi = s.sample(wo, 0.0, [1.0; CHANNELS], &mut random).unwrap().wi;
             let footprint = kernel.footprint(wi, wo, 0.0);
             let columns: Vec<&[f32]> = footprint.iter().map(std::slice::from_ref).collect();
             let mut out = BatchValues::default();
