@@ -6,7 +6,8 @@ use crate::math::Random;
 use glam::DVec3;
 
 /// Values of `at`; directions drawn from `wide` with probability `share`, else from `at`. The density is the mixture's, so
-/// estimates are unbiased for any `wide`, and no weight exceeds `1 / (1 - share)` times that of `at` alone.
+/// estimates are unbiased for any `wide`, and `S cos(theta_i) / pdf` never exceeds `1 / (1 - share)` times that of `at` alone.
+/// The importance is mixed too: else roulette would take away again what `wide` found.
 pub struct Defensive<'a> {
     /// What is evaluated.
     pub at: &'a dyn Scattering,
@@ -28,9 +29,11 @@ impl Scattering for Defensive<'_> {
         h: f64,
         carried: [f64; CHANNELS],
     ) -> ([f64; CHANNELS], f64) {
-        let (value, at) = self.at.importance(wi, wo, h, carried);
-        let wide = self.wide.importance(wi, wo, h, carried).1;
-        (value, (1.0 - self.share) * at + self.share * wide)
+        let (at, at_pdf) = self.at.importance(wi, wo, h, carried);
+        let (wide, wide_pdf) = self.wide.importance(wi, wo, h, carried);
+        let mixed = |at: f64, wide: f64| (1.0 - self.share) * at + self.share * wide;
+        let value = std::array::from_fn(|c| mixed(at[c], wide[c]));
+        (value, mixed(at_pdf, wide_pdf))
     }
 
     fn sample(
