@@ -11,12 +11,13 @@ use super::allocation::{
     Group, TAU, groups, paths_for_accuracy, planned_paths, weighted_variance, worth,
 };
 use super::guide::{Guide, Lesson, Pupil};
+use super::path::Visitor;
 use super::scene::FiberScene;
 use super::summation::{Summation, Sums};
 use super::{Effort, Estimate, Estimates, MIN_PATHS, Request, relative_error_weight, weighted_rms};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
-use crate::scatter::{CHANNELS, Scattering};
+use crate::scatter::{CHANNELS, Parameters, Scattering};
 use crate::session::Configuration;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -38,7 +39,7 @@ const SCHOOL: u64 = 500;
 const GUIDED_RAY: f64 = 1.25;
 
 /// One round of paths over all groups.
-struct Round<'a> {
+pub(super) struct Round<'a> {
     scene: &'a FiberScene,
     scattering: &'a dyn Scattering,
     groups: &'a [Group],
@@ -52,6 +53,15 @@ struct Round<'a> {
     stage_name: &'a str,
 }
 
+/// Camera paths of one group with a random stream of their own: what standard errors are made from.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Batch {
+    pub(super) group: usize,
+    /// Counts within the group.
+    pub(super) number: u64,
+    pub(super) paths: u64,
+}
+
 /// Mean, its squared standard error, and the same for the derivatives.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Moments {
@@ -63,49 +73,60 @@ pub(super) struct Moments {
 type Learned = (Lesson, f64);
 
 impl Round<'_> {
-    fn batches(&self, g: usize) -> u64 {
-        (self.paths[g] / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1)
+    /// Camera paths of all groups.
+    pub(super) fn total_paths(&self) -> u64 {
+        self.paths.iter().sum()
     }
 
-    /// Results of all batches, per group. `one(group, batch, paths)` traces a batch.
-    fn run<T: Send>(
+    /// Camera paths of one configuration.
+    pub(super) fn paths_of(&self, configuration: usize) -> u64 {
+        let group = |g: &Group| g.members.contains(&configuration);
+        let found = self.groups.iter().position(group);
+        found.map_or(0, |g| self.paths[g])
+    }
+
+    fn batches(&self, group: usize) -> impl Iterator<Item = Batch> {
+        let paths = self.paths[group];
+        let count = (paths / BATCH_PATHS).clamp(BATCHES.0, BATCHES.1);
+        (0..count).map(move |number| Batch {
+            group,
+            number,
+            paths: paths / count + u64::from(number < paths % count),
+        })
+    }
+
+    /// What `one` makes of every batch, in a fixed order.
+    pub(super) fn run<T: Send>(
         &self,
         watch: &dyn Watch,
-        one: impl Fn(usize, u64, u64) -> T + Sync,
-    ) -> Result<Vec<Vec<T>>> {
-        let tasks: Vec<(usize, u64)> = (0..self.groups.len())
-            .flat_map(|g| (0..self.batches(g)).map(move |b| (g, b)))
+        one: impl Fn(Batch) -> Result<T> + Sync,
+    ) -> Result<Vec<(Batch, T)>> {
+        let tasks: Vec<Batch> = (0..self.groups.len())
+            .flat_map(|group| self.batches(group))
             .collect();
-        let (done, total) = (AtomicU64::new(0), self.paths.iter().sum::<u64>());
-        let results: Vec<Option<T>> = tasks
+        let (done, total) = (AtomicU64::new(0), self.total_paths());
+        tasks
             .par_iter()
-            .map(|&(g, b)| {
+            .map(|&batch| {
                 if watch.cancelled() {
-                    return None;
+                    return Err(interrupted());
                 }
-                let n = batch_size(self.paths[g], self.batches(g), b);
-                let result = one(g, b, n);
-                let so_far = done.fetch_add(n, Ordering::Relaxed) + n;
+                let result = one(batch)?;
+                let so_far = done.fetch_add(batch.paths, Ordering::Relaxed) + batch.paths;
                 watch.progress(self.stage_name, so_far, total);
-                Some(result)
+                Ok((batch, result))
             })
-            .collect();
-        let mut results = results.into_iter();
-        (0..self.groups.len())
-            .map(|g| results.by_ref().take(self.batches(g) as usize).collect())
-            .collect::<Option<Vec<Vec<T>>>>()
-            .ok_or_else(|| Error::new("interrupted"))
+            .collect()
     }
 
-    /// Traces the paths of one batch.
-    fn trace<V: super::path::Visitor>(
+    /// Traces the paths of one batch; `finish_path` hears of the end of each.
+    pub(super) fn trace<V: Visitor>(
         &self,
-        g: usize,
-        batch: u64,
-        n: u64,
+        batch: Batch,
         visitor: &mut V,
         finish_path: impl Fn(&mut V),
     ) {
+        let g = batch.group;
         let group = &self.groups[g];
         let worth: Vec<f64> = group.members.iter().map(|&m| self.worth[m]).collect();
         let guide = &self.guides[g];
@@ -113,8 +134,8 @@ impl Round<'_> {
             .scene
             .stage(self.scattering, &group.lamps, &worth, guide);
         let [seed, stream, round] = self.key;
-        let mut random = Random::keyed(&[seed, stream, round, g as u64, batch]);
-        for _ in 0..n {
+        let mut random = Random::keyed(&[seed, stream, round, g as u64, batch.number]);
+        for _ in 0..batch.paths {
             let through = self.scene.start(&mut random);
             let view = self.scene.options.view;
             let toward_camera = view.toward_camera(through, group.toward_camera);
@@ -130,10 +151,10 @@ impl Round<'_> {
         n_configurations: usize,
         watch: &dyn Watch,
     ) -> Result<Vec<Moments>> {
-        let batches = self.run(watch, |g, b, n| {
-            let mut sums = Summation::new(rows, self.groups[g].lamps.len());
-            self.trace(g, b, n, &mut sums, |_| ());
-            sums.lamps
+        let batches = self.run(watch, |batch| {
+            let mut sums = Summation::new(rows, self.groups[batch.group].lamps.len());
+            self.trace(batch, &mut sums, |_| ());
+            Ok(sums.lamps)
         })?;
         Ok(self.moments(&batches, rows, n_configurations))
     }
@@ -144,54 +165,51 @@ impl Round<'_> {
         n_configurations: usize,
         watch: &dyn Watch,
     ) -> Result<(Vec<Moments>, Vec<Learned>)> {
-        let batches = self.run(watch, |g, b, n| {
-            let mut pupil = Pupil::new(self.groups[g].lamps.len());
-            self.trace(g, b, n, &mut pupil, Pupil::finish_path);
-            pupil
+        let batches = self.run(watch, |batch| {
+            let mut pupil = Pupil::new(self.groups[batch.group].lamps.len());
+            self.trace(batch, &mut pupil, Pupil::finish_path);
+            Ok(pupil)
         })?;
-        let sums = |p: &Pupil| {
-            let one = |&value: &[f64; CHANNELS]| Sums {
-                value,
-                ..Sums::default()
-            };
-            p.sums.iter().map(one).collect::<Vec<_>>()
+        let lesson = |group: &Group| (Lesson::new(group.lamps.len()), 0.0);
+        let mut learned: Vec<Learned> = self.groups.iter().map(lesson).collect();
+        for (batch, pupil) in &batches {
+            let (lesson, rays) = &mut learned[batch.group];
+            lesson.merge(&pupil.lesson);
+            *rays += pupil.rays;
+        }
+        let value = |&value: &[f64; CHANNELS]| Sums {
+            value,
+            ..Sums::default()
         };
-        let values: Vec<Vec<Vec<Sums>>> = batches
+        let values: Vec<(Batch, Vec<Sums>)> = batches
             .iter()
-            .map(|group| group.iter().map(sums).collect())
-            .collect();
-        let learned = batches
-            .iter()
-            .enumerate()
-            .map(|(g, pupils)| {
-                let mut lesson = Lesson::new(self.groups[g].lamps.len());
-                pupils.iter().for_each(|p| lesson.merge(&p.lesson));
-                (lesson, pupils.iter().map(|p| p.rays).sum())
-            })
+            .map(|(batch, pupil)| (*batch, pupil.sums.iter().map(value).collect()))
             .collect();
         Ok((self.moments(&values, 0, n_configurations), learned))
     }
 
-    fn moments(&self, batches: &[Vec<Vec<Sums>>], rows: usize, n: usize) -> Vec<Moments> {
+    fn moments(&self, batches: &[(Batch, Vec<Sums>)], rows: usize, n: usize) -> Vec<Moments> {
         let mut moments = vec![Moments::default(); n];
-        for (g, (group, mine)) in self.groups.iter().zip(batches).enumerate() {
+        for (g, group) in self.groups.iter().enumerate() {
             for (lamp, &member) in group.members.iter().enumerate() {
-                let sizes = (0..self.batches(g))
-                    .map(|b| batch_size(self.paths[g], self.batches(g), b) as f64);
-                moments[member] = combine(mine.iter().map(|b| &b[lamp]).zip(sizes), rows);
+                let mine = batches.iter().filter(|(batch, _)| batch.group == g);
+                let sums = mine.map(|(batch, sums)| (&sums[lamp], batch.paths as f64));
+                moments[member] = combine(sums, rows);
             }
         }
         moments
     }
 }
 
-/// Paths of batch `b` when `n` paths are split into `batches`.
-fn batch_size(n: u64, batches: u64, b: u64) -> u64 {
-    n / batches + u64::from(b < n % batches)
+pub(super) fn interrupted() -> Error {
+    Error::new("interrupted")
 }
 
 /// Mean over all paths, and its variance from the scatter of the batches.
-fn combine<'a>(batches: impl Iterator<Item = (&'a Sums, f64)> + Clone, rows: usize) -> Moments {
+pub(super) fn combine<'a>(
+    batches: impl Iterator<Item = (&'a Sums, f64)> + Clone,
+    rows: usize,
+) -> Moments {
     let paths: f64 = batches.clone().map(|(_, n)| n).sum();
     let count = batches.clone().count() as f64;
     let one = |pick: &dyn Fn(&Sums) -> f64| {
@@ -272,22 +290,19 @@ impl Settled {
     }
 }
 
-/// See [`super::Scene::estimate`].
-pub(super) fn estimate(
-    scene: &FiberScene,
+/// The round of paths that are kept, its path counts and rules settled by pilots.
+pub(super) fn plan<'a>(
+    scene: &'a FiberScene,
+    scattering: &'a dyn Scattering,
+    groups: &'a [Group],
     request: &Request<'_>,
     watch: &dyn Watch,
-) -> Result<Estimates> {
-    let clock = (std::time::Instant::now(), cpu_seconds());
-    let configurations = request.configurations;
-    let scattering = scene.model.prepare(request.parameters)?;
-    let groups = groups(scene, configurations);
-    let rows = scene.model.parameters().len();
-    let n = configurations.len();
+) -> Result<Round<'a>> {
+    let n = request.configurations.len();
     let round = |number: u64, paths: Vec<u64>, settled: &Settled, stage_name| Round {
         scene,
-        scattering: &*scattering,
-        groups: &groups,
+        scattering,
+        groups,
         paths,
         worth: worth(&settled.moments),
         guides: settled.guides.clone(),
@@ -301,7 +316,7 @@ pub(super) fn estimate(
         settled.learn(&round, moments, &learned);
         Ok(())
     };
-    let final_paths = match planned_paths(&request.effort, &groups) {
+    let final_paths = match planned_paths(&request.effort, groups) {
         Some(planned) => {
             for (number, paths) in planned_pilots(&planned).into_iter().enumerate() {
                 pilot(number as u64, paths, &mut settled)?;
@@ -327,17 +342,32 @@ pub(super) fn estimate(
             needed(&settled)
         }
     };
-    let last = round(MAX_PILOTS, final_paths, &settled, "render");
-    let moments = last.render(rows, n, watch)?;
+    Ok(round(MAX_PILOTS, final_paths, &settled, "render"))
+}
 
-    let mut estimates = Vec::with_capacity(n);
-    for (index, (c, m)) in configurations.iter().zip(&moments).enumerate() {
-        let group = groups.iter().position(|g| g.members.contains(&index));
-        let paths = group.map_or(0, |g| last.paths[g]);
-        estimates.push(finished(c, m, rows, paths, request)?);
-    }
+/// See [`super::Scene::estimate`].
+pub(super) fn estimate(
+    scene: &FiberScene,
+    request: &Request<'_>,
+    watch: &dyn Watch,
+) -> Result<Estimates> {
+    let clock = (std::time::Instant::now(), cpu_seconds());
+    let configurations = request.configurations;
+    let scattering = scene.model.prepare(request.parameters)?;
+    let groups = groups(scene, configurations);
+    let last = plan(scene, &*scattering, &groups, request, watch)?;
+    let rows = scene.model.parameters().len();
+    let moments = last.render(rows, configurations.len(), watch)?;
+    let finish = |(index, c): (usize, &Configuration)| {
+        let paths = last.paths_of(index);
+        finished(c.id, &moments[index], rows, paths, request.parameters)
+    };
     Ok(Estimates {
-        configurations: estimates,
+        configurations: configurations
+            .iter()
+            .enumerate()
+            .map(finish)
+            .collect::<Result<_>>()?,
         cpu_s: cpu_seconds() - clock.1,
         wall_s: clock.0.elapsed().as_secs_f64(),
     })
@@ -359,12 +389,12 @@ fn planned_pilots(planned: &[u64]) -> Vec<Vec<u64>> {
     }
 }
 
-fn finished(
-    c: &Configuration,
+pub(super) fn finished(
+    config: u32,
     m: &Moments,
     rows: usize,
     paths: u64,
-    request: &Request<'_>,
+    parameters: &Parameters,
 ) -> Result<Estimate> {
     let finite = m
         .mean
@@ -380,16 +410,15 @@ fn finished(
             .all(|v| v.is_finite());
     if !finite {
         return Err(Error::new(format!(
-            "configuration {}: the render is not finite (mean {:?}, variance {:?}) at {}",
-            c.id,
+            "configuration {config}: the render is not finite (mean {:?}, variance {:?}) at {}",
             m.mean.value,
             m.variance.value,
-            request.parameters.to_json()
+            parameters.to_json()
         ))
         .with_hint("this is a fault of the model at these parameters; please report it with the parameters"));
     }
     Ok(Estimate {
-        config: c.id,
+        config,
         mean: m.mean.value,
         standard_error: m.variance.value.map(f64::sqrt),
         derivative: m.mean.derivative[..rows].to_vec(),

@@ -15,12 +15,16 @@ mod light;
 mod path;
 mod picture;
 mod probe;
+mod record;
 mod scene;
 mod summation;
 
 pub use light::LightShape;
 pub use picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
 pub use probe::RaySpeed;
+pub use record::{
+    ConfigurationTrust, Recalled, RecordOptions, Recording, RecordingPair, TRUST_THRESHOLD, Trust,
+};
 pub use scene::{FiberScene, FiberSceneOptions, Integrator, Plate, View};
 
 use crate::base::{Error, Result, Watch};

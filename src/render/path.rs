@@ -22,19 +22,10 @@ use std::f64::consts::{FRAC_1_PI, TAU};
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Event<'a> {
     /// Toward the light side of the path, fiber frame.
-    #[cfg_attr(
-        not(test),
-        expect(dead_code, reason = "read by visitors that record paths")
-    )]
     pub(super) wi: DVec3,
     /// Toward the camera side, fiber frame.
-    #[cfg_attr(
-        not(test),
-        expect(dead_code, reason = "read by visitors that record paths")
-    )]
     pub(super) wo: DVec3,
     /// Where across the fiber the camera side meets it, see [`Scattering`].
-    #[expect(dead_code, reason = "read by visitors that record paths")]
     pub(super) h: f64,
     /// Everything that does not depend on the parameters: cosine, densities, roulette, the lamp's radiance.
     pub(super) factor: f64,

@@ -18,9 +18,12 @@
 //! `theta_i + theta_o = 2 atan2(t_i + t_o, 1 - t_i t_o)`, `1 - cos theta = x t`, and with unit azimuth vectors `a`
 //! `cos(phi_o - phi_i - pi) - 1 = -|a_i + a_o|^2 / 2`, which does not cancel where the lobe is.
 
+mod batch;
+
 use super::normalizer::NormalizerTable;
 use super::{
-    CHANNELS, Evaluation, MAX_ROWS, Model, ParameterInfo, Parameters, Sampled, Scattering, Unit,
+    BatchEvaluate, CHANNELS, Evaluation, MAX_ROWS, Model, ParameterInfo, Parameters, Sampled,
+    Scattering, Unit,
 };
 use crate::base::{Error, Result};
 use crate::math::Random;
@@ -307,6 +310,10 @@ impl Scattering for KhungurnScattering {
             weight: Self::value(&lobes, self.followed).map(|s| s * factor),
             pdf: density / cos_theta,
         })
+    }
+
+    fn batch(&self) -> Option<Box<dyn BatchEvaluate>> {
+        Some(Box::new(batch::KhungurnBatch::new(self)))
     }
 }
 

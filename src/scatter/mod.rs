@@ -6,11 +6,15 @@
 //! camera. Models need not be reciprocal, so the order matters.
 
 pub mod albedo;
+mod batch;
+mod defensive;
 mod direction;
 pub mod khungurn;
 pub mod normalizer;
 mod parameters;
 
+pub use batch::{BatchEvaluate, BatchValues, Footprint, MAX_COLUMNS, OneByOne};
+pub use defensive::Defensive;
 pub use direction::{fiber_direction, longitudinal_angle};
 pub use khungurn::{Khungurn, KhungurnScattering};
 pub use parameters::{ParameterInfo, Parameters, Unit};
@@ -96,6 +100,11 @@ pub trait Scattering: Send + Sync {
     fn passage(&self) -> Passage {
         Passage::Across
     }
+
+    /// A kernel for many events at once, when the model has one (at all parameters or at none); else [`OneByOne`] serves.
+    fn batch(&self) -> Option<Box<dyn BatchEvaluate>> {
+        None
+    }
 }
 
 /// A scattering model: a named list of parameters, and what they make.
@@ -112,6 +121,26 @@ pub trait Model: Send + Sync {
     /// When a value is missing, not finite, or where the model has no meaning (width zero, color below zero). Values
     /// outside the published box but meaningful are accepted.
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>>;
+
+    /// `parameters` with lobes about `factor` times as wide, for [`Defensive`] sampling: all angles times `factor` unless
+    /// the model knows better.
+    fn widened(&self, parameters: &Parameters, factor: f64) -> Parameters {
+        let value = |(slot, (row, _)): (usize, (usize, usize))| {
+            let value = parameters.values()[slot];
+            match parameters.infos()[row].unit {
+                Unit::Angle => factor * value,
+                Unit::One => value,
+            }
+        };
+        parameters.with_values(
+            parameters
+                .places()
+                .into_iter()
+                .enumerate()
+                .map(value)
+                .collect(),
+        )
+    }
 }
 
 /// All models, in the order `--help` lists them.
