@@ -231,6 +231,15 @@ impl Scattering for KhungurnScattering {
             evaluation,
         })
     }
+
+    fn narrowest(&self) -> f64 {
+        let azimuthal = self.azimuthal.k.powf(-0.5);
+        self.r
+            .width
+            .min(self.tt.width)
+            .min(azimuthal)
+            .min(10_f64.to_radians())
+    }
 }
 
 /// A direction in the fiber frame as the formulas need it.

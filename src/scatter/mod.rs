@@ -6,11 +6,14 @@
 //! camera. Models need not be reciprocal, so the order matters.
 
 pub mod albedo;
+pub mod chiang;
 mod direction;
 pub mod khungurn;
 pub mod normalizer;
 mod parameters;
+mod piecewise;
 
+pub use chiang::{Chiang, ChiangScattering};
 pub use direction::{fiber_direction, longitudinal_angle};
 pub use khungurn::{Khungurn, KhungurnScattering};
 pub use parameters::{ParameterInfo, Parameters, Unit};
@@ -80,6 +83,11 @@ pub trait Scattering: Send + Sync {
     fn passage(&self) -> Passage {
         Passage::Across
     }
+
+    /// Standard deviation of the narrowest lobe, radians, for whoever chooses a quadrature rule; at most 10 degrees.
+    fn narrowest(&self) -> f64 {
+        10_f64.to_radians()
+    }
 }
 
 /// A scattering model: a named list of parameters, and what they make.
@@ -100,7 +108,7 @@ pub trait Model: Send + Sync {
 
 /// All models, in the order `--help` lists them.
 pub fn models() -> &'static [&'static dyn Model] {
-    &[&Khungurn]
+    &[&Khungurn, &Chiang]
 }
 
 /// The model with this name.
