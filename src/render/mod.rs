@@ -11,6 +11,7 @@ mod light;
 mod path;
 mod picture;
 mod scene;
+mod within;
 
 pub use light::LightShape;
 pub use picture::TilePicture;
