@@ -1,4 +1,4 @@
-//! Time of one evaluation and one sample of the Khungurn BCSDF, beside the error against 30-digit values.
+//! Time of one evaluation and one sample of every model, beside the error against 30-digit values.
 //!
 //! `cargo bench --bench scatter_speed`
 
@@ -11,63 +11,85 @@
 
 use glam::DVec3;
 use goniofit::math::Random;
-use goniofit::scatter::{Khungurn, Model, Parameters, fiber_direction};
+use goniofit::scatter::{Chiang, Khungurn, Model, Parameters, fiber_direction};
 use serde_json::Value;
 use std::hint::black_box;
 use std::time::Instant;
 
 fn main() {
-    let golden: Value =
-        serde_json::from_str(include_str!("../tests/data/khungurn_bcsdf.json")).unwrap();
-    let rows = golden["rows"].as_array().unwrap();
+    let khungurn = rows(include_str!("../tests/data/khungurn_bcsdf.json"));
     println!(
-        "largest |error| / max(|S|, |dS|) over {} rows: {:.1e}",
-        rows.len(),
-        worst(rows)
+        "khungurn: largest |error| / max(|S|, |dS|) over {} rows: {:.1e}",
+        khungurn.len(),
+        worst_khungurn(&khungurn)
     );
-
-    let defaults = Parameters::defaults(&Khungurn);
+    let chiang = rows(include_str!("../tests/data/chiang.json"));
     println!(
-        "{:>18} {:>12} {:>12} {:>12}",
-        "beta_r, gamma_tt", "prepare us", "evaluate ns", "sample ns"
+        "chiang: largest |error| / |S| over {} rows: {:.1e}",
+        chiang.len(),
+        worst_chiang(&chiang)
+    );
+    println!(
+        "{:>32} {:>12} {:>12} {:>12} {:>12}",
+        "", "prepare us", "evaluate ns", "importance ns", "sample ns"
     );
     for (beta_r, gamma) in [(5.0, 10.0), (1.0, 38.0), (1.0, 1.0), (10.0, 45.0_f64)] {
-        let mut values = defaults.values().to_vec();
+        let mut values = Parameters::defaults(&Khungurn).values().to_vec();
         values[6] = f64::to_radians(beta_r);
         values[8] = gamma.to_radians();
-        let parameters = defaults.with_values(values);
-        let prepare = best_of(5, 20, || {
-            black_box(Khungurn.prepare(black_box(&parameters)).unwrap());
-        });
-        let scattering = Khungurn.prepare(&parameters).unwrap();
-        let mut random = Random::keyed(&[1]);
-        let pairs: Vec<(DVec3, DVec3)> = (0..4096)
-            .map(|_| {
-                let mut w = || {
-                    let sin: f64 = 2.0 * random.uniform() - 1.0;
-                    fiber_direction(sin.asin(), std::f64::consts::TAU * random.uniform())
-                };
-                (w(), w())
-            })
-            .collect();
-        let mut next = 0;
-        let evaluate = best_of(7, 400_000, || {
-            next = (next + 1) % pairs.len();
-            let (wi, wo) = pairs[next];
-            black_box(scattering.evaluate(black_box(wi), black_box(wo), 0.0));
-        });
-        let sample = best_of(7, 200_000, || {
-            next = (next + 1) % pairs.len();
-            black_box(scattering.sample(black_box(pairs[next].1), 0.0, [1.0; 3], &mut random));
-        });
-        println!(
-            "{:>18} {:>12.0} {:>12.1} {:>12.1}",
-            format!("{beta_r}, {gamma} deg"),
-            prepare / 1e3,
-            evaluate,
-            sample
-        );
+        let name = format!("beta_r {beta_r}, gamma_tt {gamma} deg");
+        report(&Khungurn, &name, values);
     }
+    for (beta_m, beta_n) in [(0.3, 0.3), (0.05, 0.05), (1.0, 1.0)] {
+        let name = format!("chiang beta_m {beta_m}, beta_n {beta_n}");
+        report(&Chiang, &name, vec![0.8, 0.5, 0.2, beta_m, beta_n]);
+    }
+}
+
+fn rows(text: &str) -> Vec<Value> {
+    let golden: Value = serde_json::from_str(text).unwrap();
+    golden["rows"].as_array().unwrap().clone()
+}
+
+/// Prints one row of times.
+fn report(model: &dyn Model, name: &str, values: Vec<f64>) {
+    let parameters = Parameters::defaults(model).with_values(values);
+    let prepare = best_of(5, 20, || {
+        black_box(model.prepare(black_box(&parameters)).unwrap());
+    });
+    let scattering = model.prepare(&parameters).unwrap();
+    let mut random = Random::keyed(&[1]);
+    let pairs: Vec<(DVec3, DVec3, f64)> = (0..4096)
+        .map(|_| {
+            let mut w = || {
+                let sin: f64 = 2.0 * random.uniform() - 1.0;
+                fiber_direction(sin.asin(), std::f64::consts::TAU * random.uniform())
+            };
+            let (wi, wo) = (w(), w());
+            (wi, wo, 2.0 * random.uniform() - 1.0)
+        })
+        .collect();
+    let mut next = 0;
+    let mut pair = || {
+        next = (next + 1) % pairs.len();
+        black_box(pairs[next])
+    };
+    let evaluate = best_of(7, 400_000, || {
+        let (wi, wo, h) = pair();
+        black_box(scattering.evaluate(wi, wo, h));
+    });
+    let value = best_of(7, 400_000, || {
+        let (wi, wo, h) = pair();
+        black_box(scattering.importance(wi, wo, h, [1.0; 3]));
+    });
+    let sample = best_of(7, 200_000, || {
+        let (_, wo, h) = pair();
+        black_box(scattering.sample(wo, h, [1.0; 3], &mut random));
+    });
+    println!(
+        "{name:>32} {:>12.0} {evaluate:>12.1} {value:>12.1} {sample:>12.1}",
+        prepare / 1e3
+    );
 }
 
 /// Nanoseconds per call, the best of `rounds` rounds.
@@ -83,7 +105,7 @@ fn best_of(rounds: usize, calls: usize, mut f: impl FnMut()) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-fn worst(rows: &[Value]) -> f64 {
+fn worst_khungurn(rows: &[Value]) -> f64 {
     let number = |v: &Value| v.as_f64().unwrap();
     let three = |v: &Value| -> [f64; 3] { std::array::from_fn(|c| number(&v[c])) };
     let mut worst = 0.0_f64;
@@ -111,4 +133,19 @@ fn worst(rows: &[Value]) -> f64 {
         }
     }
     worst
+}
+
+fn worst_chiang(rows: &[Value]) -> f64 {
+    rows.iter()
+        .map(|row| {
+            let number = |k: usize| row[k].as_f64().unwrap();
+            let values = vec![number(6), number(6), number(6), number(4), number(5)];
+            let parameters = Parameters::defaults(&Chiang).with_values(values);
+            let scattering = Chiang.prepare(&parameters).unwrap();
+            let wi = fiber_direction(number(0), number(2));
+            let wo = fiber_direction(number(1), 0.0);
+            let found = scattering.evaluate(wi, wo, number(3)).value[0];
+            (found / number(11) - 1.0).abs()
+        })
+        .fold(0.0, f64::max)
 }

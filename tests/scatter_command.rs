@@ -206,7 +206,7 @@ fn bad_input_is_named_and_nothing_is_printed() {
     assert_eq!(ran.code, 2);
     assert!(
         ran.err
-            .contains("unknown model 'khungurm'\nhint: known models: khungurn"),
+            .contains("unknown model 'khungurm'\nhint: known models: khungurn, chiang"),
         "{}",
         ran.err
     );
@@ -236,6 +236,80 @@ fn the_list_is_json_whose_defaults_are_a_parameter_file() {
         &[],
     );
     assert_eq!(ran.code, 0, "{}", ran.err);
+}
+
+#[test]
+fn the_column_h_reaches_the_near_field_model_alone() {
+    let folder = Folder::new();
+    let params = folder.file(
+        "P.json",
+        r#"{"color": [0.1, 0.9, 0.5], "beta_m": 0.3, "beta_n": 0.2}"#,
+    );
+    let chiang = |name: &str, text: &str| {
+        let directions = folder.file(name, text);
+        run(|c| {
+            c.args(["eval", "--model", "chiang", "--derivatives", "--params"])
+                .arg(&params)
+                .arg("--directions")
+                .arg(&directions);
+        })
+    };
+    let (row, with) = ("20,10,-15,170", format!("h,{HEADER}"));
+    let ran = chiang(
+        "D.csv",
+        &format!("{with}\n0.6,{row}\n-0.6,{row}\n0,{row}\n"),
+    );
+    let lines: Vec<&str> = ran.out.lines().collect();
+    assert_eq!(lines.len(), 4, "{}", ran.err);
+    assert!(lines[0].ends_with("d_beta_n_r,d_beta_n_g,d_beta_n_b"));
+    assert!(lines[1] != lines[2] && lines[2] != lines[3]);
+    let without = chiang("E.csv", &format!("{HEADER}\n{row}\n"));
+    assert_eq!(without.out.lines().nth(1), Some(lines[3]));
+    let ran = chiang("F.csv", &format!("{with}\n1.01,{row}\n"));
+    assert_eq!((ran.code, ran.out.as_str()), (2, ""));
+    assert!(
+        ran.err
+            .contains("row 1: h is '1.01', expected a number from -1 to 1"),
+        "{}",
+        ran.err
+    );
+    let far = |h: f64| {
+        let text = format!("{HEADER},h\n{row},{h}\n");
+        folder.eval(DEFAULTS, &text, &[]).out
+    };
+    assert_eq!(far(0.7), far(-0.2));
+}
+
+#[test]
+fn a_clear_hair_returns_all_light_in_the_albedo_table() {
+    let folder = Folder::new();
+    let params = folder.file(
+        "P.json",
+        r#"{"color": [1, 0.5, 0], "beta_m": 0.4, "beta_n": 0.4}"#,
+    );
+    let ran = run(|c| {
+        c.args([
+            "albedo",
+            "--model",
+            "chiang",
+            "--step-deg",
+            "45",
+            "--params",
+        ])
+        .arg(&params);
+    });
+    let line = ran
+        .out
+        .lines()
+        .nth(2)
+        .unwrap_or_else(|| panic!("{}", ran.err));
+    let cells: Vec<f64> = line.split(',').map(|c| c.parse().unwrap()).collect();
+    assert_eq!(cells[0], 45.0);
+    assert!((cells[4] - 1.0).abs() < 1e-6, "{line}");
+    assert!(
+        cells[6] < 0.2 && cells[6] < cells[5] && cells[5] < cells[4],
+        "{line}"
+    );
 }
 
 #[test]

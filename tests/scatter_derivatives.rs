@@ -6,8 +6,8 @@
 mod scatter_laws;
 
 use glam::DVec3;
-use goniofit::scatter::{CHANNELS, Khungurn, Model, Parameters, models};
-use scatter_laws::{derivative_error, direction_deg, khungurn};
+use goniofit::scatter::{CHANNELS, Chiang, Khungurn, Model, Parameters, models};
+use scatter_laws::{chiang, derivative_error, direction_deg, khungurn};
 
 /// What the five-point differences allow.
 const TOLERANCE: f64 = 1e-6;
@@ -27,17 +27,19 @@ fn pairs() -> Vec<(DVec3, DVec3)> {
 }
 
 fn worst(model: &dyn Model, parameters: &Parameters) -> f64 {
-    pairs()
-        .into_iter()
-        .map(|(wi, wo)| {
-            let error = derivative_error(model, parameters, wi, wo, |s| s.evaluate(wi, wo, 0.0));
+    let mut worst = 0.0_f64;
+    for (wi, wo) in pairs() {
+        for h in [0.0, -0.002, 0.6, 1.0] {
+            let at = (wi, wo, h);
+            let error = derivative_error(model, parameters, at, |s| s.evaluate(wi, wo, h));
             assert!(
                 error < TOLERANCE,
-                "{error:.1e} at {wi}, {wo}: {parameters:?}"
+                "{error:.1e} at {wi}, {wo}, h {h}: {parameters:?}"
             );
-            error
-        })
-        .fold(0.0, f64::max)
+            worst = worst.max(error);
+        }
+    }
+    worst
 }
 
 #[test]
@@ -72,21 +74,45 @@ fn khungurn_at_the_corners_and_at_colors_zero_and_one() {
 }
 
 #[test]
-fn control_a_derivative_off_by_a_thousandth_fails() {
-    let parameters = Parameters::defaults(&Khungurn);
+fn chiang_at_the_corners_and_at_color_one() {
+    // Color zero is reached with all derivatives zero, but between there and 0.001 the value rises to a tenth: no finite difference
+    // sees that.
+    let black = Chiang.prepare(&chiang([0.0; 3], 0.3, 0.3)).unwrap();
+    let nearly = Chiang.prepare(&chiang([1e-30; 3], 0.3, 0.3)).unwrap();
     let (wi, wo) = pairs()[2];
-    for row in 0..Khungurn.parameters().len() {
-        let error = derivative_error(&Khungurn, &parameters, wi, wo, |s| {
-            let mut e = s.evaluate(wi, wo, 0.0);
-            for c in 0..CHANNELS {
-                e.derivative[row][c] *= 1.001;
-            }
-            e
-        });
-        assert!(error > 10.0 * TOLERANCE, "row {row}: {error:.1e}");
+    let (a, b) = (black.evaluate(wi, wo, 0.3), nearly.evaluate(wi, wo, 0.3));
+    assert!((a.value[0] / b.value[0] - 1.0).abs() < 1e-12, "{a:?} {b:?}");
+    assert_eq!(a.derivative[0], [0.0; 3]);
+    assert!(a.derivative[1][0] != 0.0);
+    for (beta_m, beta_n) in [(0.05, 1.0), (1.0, 0.05), (0.05, 0.3), (0.8, 0.8)] {
+        worst(&Chiang, &chiang([0.02, 0.5, 1.0], beta_m, beta_n));
+        worst(&Chiang, &chiang([0.001, 0.999, 0.3], beta_m, beta_n));
+    }
+}
+
+#[test]
+fn control_a_derivative_off_by_a_thousandth_fails() {
+    let (wi, wo) = pairs()[2];
+    for model in models() {
+        let parameters = Parameters::defaults(*model);
+        for row in 0..model.parameters().len() {
+            let error = derivative_error(*model, &parameters, (wi, wo, 0.3), |s| {
+                let mut e = s.evaluate(wi, wo, 0.3);
+                for c in 0..CHANNELS {
+                    e.derivative[row][c] *= 1.001;
+                }
+                e
+            });
+            assert!(
+                error > 10.0 * TOLERANCE,
+                "{} row {row}: {error:.1e}",
+                model.name()
+            );
+        }
     }
     // And per degree instead of per radian.
-    let error = derivative_error(&Khungurn, &parameters, wi, wo, |s| {
+    let parameters = Parameters::defaults(&Khungurn);
+    let error = derivative_error(&Khungurn, &parameters, (wi, wo, 0.0), |s| {
         let mut e = s.evaluate(wi, wo, 0.0);
         e.derivative[4] = e.derivative[4].map(f64::to_radians);
         e
@@ -109,23 +135,37 @@ fn everything_stays_finite_along_the_axis_and_far_from_the_lobes() {
         direction_deg(90.0, 0.0),
         direction_deg(-89.999_999, 77.0),
     ];
+    let mut functions = Vec::new();
     for widths in [[1.0, 10.0, 1.0], [10.0, 45.0, 45.0], [0.01, 0.01, 0.01]] {
-        let s = Khungurn
-            .prepare(&khungurn([0.001, 0.0, 1.0], [0.999, 1.0, 0.0], widths))
-            .unwrap();
-        for wi in hostile {
-            for wo in hostile {
-                let e = s.evaluate(wi, wo, 0.0);
-                let pdf = s.importance(wi, wo, 0.0, [1.0; 3]).1;
+        let parameters = khungurn([0.001, 0.0, 1.0], [0.999, 1.0, 0.0], widths);
+        functions.push((
+            format!("khungurn {widths:?}"),
+            Khungurn.prepare(&parameters).unwrap(),
+        ));
+    }
+    for (beta_m, beta_n) in [(0.01, 0.01), (0.3, 0.3), (1.0, 1.0)] {
+        let parameters = chiang([0.0, 1e-300, 1.0], beta_m, beta_n);
+        functions.push((
+            format!("chiang {beta_m} {beta_n}"),
+            Chiang.prepare(&parameters).unwrap(),
+        ));
+    }
+    for (name, s) in functions {
+        for (wi, wo) in hostile.into_iter().flat_map(|i| hostile.map(|o| (i, o))) {
+            for h in [-1.0, -0.0, 1.0 - f64::EPSILON, 1.0] {
+                let e = s.evaluate(wi, wo, h);
+                let (value, pdf) = s.importance(wi, wo, h, [1.0; 3]);
                 let all = e
                     .value
                     .iter()
                     .chain(e.derivative.iter().flatten())
                     .chain([&pdf]);
                 for x in all {
-                    assert!(x.is_finite(), "{widths:?}, wi {wi:?}, wo {wo:?}: {e:?}");
+                    assert!(x.is_finite(), "{name}, wi {wi:?}, wo {wo:?}, {h}: {e:?}");
                 }
                 assert!(e.value.iter().all(|&v| v >= 0.0) && pdf >= 0.0);
+                // More where a color is nearly zero.
+                assert!((0..3).all(|c| value[c] >= e.value[c] * (1.0 - 1e-12)));
             }
         }
     }
@@ -133,15 +173,20 @@ fn everything_stays_finite_along_the_axis_and_far_from_the_lobes() {
 
 #[test]
 fn a_direction_that_is_not_a_number_is_not_hidden() {
-    let s = Khungurn.prepare(&Parameters::defaults(&Khungurn)).unwrap();
-    let e = s.evaluate(DVec3::NAN, DVec3::Y, 0.0);
-    assert!(e.value[0].is_nan() && e.derivative[2][1].is_nan());
-    assert!(s.importance(DVec3::NAN, DVec3::Y, 0.0, [1.0; 3]).1.is_nan());
-    let e = s.evaluate(DVec3::Y, DVec3::NAN, 0.0);
-    assert!(e.value[0].is_nan());
-    assert!(s.importance(DVec3::Y, DVec3::NAN, 0.0, [1.0; 3]).1.is_nan());
-    let sampled = s
-        .sample(DVec3::NAN, 0.0, [1.0; 3], &mut scatter_laws::stream(1, 0))
-        .unwrap();
-    assert!(sampled.wi.is_nan() && sampled.weight[0].is_nan());
+    for model in models() {
+        let s = model.prepare(&Parameters::defaults(*model)).unwrap();
+        let e = s.evaluate(DVec3::NAN, DVec3::Y, 0.0);
+        assert!(e.value[0].is_nan() && e.derivative[2][1].is_nan());
+        assert!(s.importance(DVec3::NAN, DVec3::Y, 0.0, [1.0; 3]).1.is_nan());
+        let e = s.evaluate(DVec3::Y, DVec3::NAN, 0.0);
+        assert!(e.value[0].is_nan());
+        assert!(s.importance(DVec3::Y, DVec3::NAN, 0.0, [1.0; 3]).1.is_nan());
+        let sampled = s
+            .sample(DVec3::NAN, 0.0, [1.0; 3], &mut scatter_laws::stream(1, 0))
+            .unwrap();
+        assert!(sampled.wi.is_nan() && sampled.weight[0].is_nan());
+    }
+    let s = Chiang.prepare(&Parameters::defaults(&Chiang)).unwrap();
+    assert!(s.evaluate(DVec3::Y, DVec3::Z, f64::NAN).value[0].is_nan());
+    assert!(s.evaluate(DVec3::Y, DVec3::Z, 1.1).value[0].is_nan());
 }

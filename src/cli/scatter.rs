@@ -46,7 +46,9 @@ struct ListArguments {
 D.csv has the columns theta_i_deg, phi_i_deg, theta_o_deg, phi_o_deg in any order
 (others are ignored): the longitudinal angle in [-90, 90], 0 being perpendicular to
 the fiber, and the azimuth around the fiber, of the direction toward the light (i)
-and toward the camera (o).
+and toward the camera (o). A column h, for near-field models (chiang), says where
+across the fiber the camera meets it: the sine of the azimuth from the outward normal
+there to the camera, in [-1, 1]; 0, the middle, when left out.
 
 The output has one row per input row: s_r,s_g,s_b in 1/sr, without any cosine; with
 --derivatives also d_PARAMETER_{r,g,b}: by each channel's own value for colors, per
@@ -56,7 +58,9 @@ Examples:
   goniofit scatter eval --model khungurn --params P.json --directions D.csv
   goniofit scatter eval --model khungurn --params P.json --directions D.csv --derivatives > S.csv
   P.json: {\"c_r\": [0.1, 0.1, 0.1], \"c_tt\": [0.85, 0.85, 0.85],
-           \"beta_r_deg\": 5, \"beta_tt_deg\": 10, \"gamma_tt_deg\": 10}")]
+           \"beta_r_deg\": 5, \"beta_tt_deg\": 10, \"gamma_tt_deg\": 10}
+  goniofit scatter eval --model chiang --params Q.json --directions D.csv
+  Q.json: {\"color\": [0.8, 0.5, 0.2], \"beta_m\": 0.3, \"beta_n\": 0.3}")]
 struct EvalArguments {
     #[command(flatten)]
     which: Which,
@@ -74,7 +78,8 @@ struct EvalArguments {
 albedo_*: int S(wi, wo) cos(theta_o) dwo, the share of the light from theta that
 leaves again (at most 1).
 reverse_*: int S(wi, wo) cos(theta_i) dwi, the radiance toward theta in uniform light.
-Models that are not reciprocal (khungurn) let it differ from albedo and exceed 1.
+Models that are not reciprocal let it differ from albedo and exceed 1 (khungurn).
+Near-field models (chiang) are averaged over where across the fiber they are met.
 
 Examples:
   goniofit scatter albedo --model khungurn --params P.json
@@ -205,11 +210,11 @@ fn eval(arguments: &EvalArguments) -> Result<String> {
     }
     let mut text = header.join(",") + "\n";
     for pair in pairs {
-        let [theta_i, phi_i, theta_o, phi_o] = pair.map(f64::to_radians);
+        let [theta_i, phi_i, theta_o, phi_o] = pair.angles.map(f64::to_radians);
         let e = scattering.evaluate(
             fiber_direction(theta_i, phi_i),
             fiber_direction(theta_o, phi_o),
-            0.0,
+            pair.h,
         );
         let numbers = e
             .value
@@ -224,8 +229,15 @@ fn eval(arguments: &EvalArguments) -> Result<String> {
 
 const COLUMNS: [&str; 4] = ["theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg"];
 
-/// Pairs of directions in the order of [`COLUMNS`], degrees.
-fn read_directions(path: &Path) -> Result<Vec<[f64; 4]>> {
+/// One row of a file of directions.
+struct Pair {
+    /// In the order of [`COLUMNS`], degrees.
+    angles: [f64; 4],
+    /// Where across the fiber, see [`Scattering`].
+    h: f64,
+}
+
+fn read_directions(path: &Path) -> Result<Vec<Pair>> {
     let source: Box<dyn Read> = if path.as_os_str() == "-" {
         Box::new(std::io::stdin().lock())
     } else {
@@ -246,17 +258,31 @@ fn read_directions(path: &Path) -> Result<Vec<[f64; 4]>> {
                 .with_hint(format!("expected the columns {}", COLUMNS.join(",")))
         })?;
     }
+    let place_of_h = header.iter().position(|h| h == "h");
     let mut pairs = Vec::new();
     for record in reader.records() {
         let row = pairs.len() + 1;
         let record = record.context(|| format!("row {row} cannot be read"))?;
-        let mut pair = [0.0; 4];
+        let mut angles = [0.0; 4];
         for k in 0..4 {
-            pair[k] = read_angle(COLUMNS[k], &record[places[k]], row)?;
+            angles[k] = read_angle(COLUMNS[k], &record[places[k]], row)?;
         }
-        pairs.push(pair);
+        let h = place_of_h.map_or(Ok(0.0), |p| read_h(&record[p], row))?;
+        pairs.push(Pair { angles, h });
     }
     Ok(pairs)
+}
+
+fn read_h(cell: &str, row: usize) -> Result<f64> {
+    cell.parse::<f64>()
+        .ok()
+        .filter(|h| (-1.0..=1.0).contains(h))
+        .ok_or_else(|| {
+            Error::new(format!(
+                "row {row}: h is '{cell}', expected a number from -1 to 1"
+            ))
+            .with_hint("rows are counted from 1 below the header; leave the column out for the middle of the fiber")
+        })
 }
 
 fn read_angle(column: &str, cell: &str, row: usize) -> Result<f64> {
@@ -284,19 +310,14 @@ fn read_angle(column: &str, cell: &str, row: usize) -> Result<f64> {
 // ---- albedo --------------------------------------------------------------------------------------------------------
 
 fn albedo(arguments: &AlbedoArguments) -> Result<String> {
-    let (_, parameters, scattering) = arguments.which.load()?;
+    let (_, _, scattering) = arguments.which.load()?;
     let step = arguments.step_deg;
     if !(0.1..=90.0).contains(&step) {
         return Err(Error::new(format!(
             "--step-deg is {step}, expected 0.1 to 90"
         )));
     }
-    let narrowest = parameters
-        .infos()
-        .iter()
-        .filter(|p| p.unit == Unit::Angle)
-        .map(|p| parameters.scalar(p.name))
-        .fold(10_f64.to_radians(), f64::min);
+    let narrowest = scattering.narrowest();
     if narrowest < 0.25_f64.to_radians() {
         return Err(Error::new(
             "a lobe is narrower than 0.25 degrees: its albedo would take minutes",

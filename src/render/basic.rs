@@ -83,7 +83,13 @@ impl Tracer<'_> {
         });
         self.found = constant([0.0; CHANNELS]);
         while let Some(ray) = next {
-            let ended = (self.scene.geometry).closest(ray.origin, ray.direction, &ray.skip);
+            let geometry = &self.scene.geometry;
+            let ended = match self.scattering.passage() {
+                Passage::Across => geometry.closest(ray.origin, ray.direction, &ray.skip),
+                Passage::Straight => {
+                    geometry.closest_from_within(ray.origin, ray.direction, &ray.skip)
+                }
+            };
             next = match (ended, self.scene.options.plate) {
                 (Ended::Fiber(hit), _) => self.fiber(&ray, hit),
                 (Ended::Down, Plate::Diffuse(albedo)) if ray.direction.z < 0.0 => {
@@ -165,7 +171,12 @@ impl Tracer<'_> {
 
     fn sees_lamp(&self, origin: DVec3, direction: DVec3, skip: &Skip) -> bool {
         let open = self.scene.options.plate == Plate::Open;
-        (open || direction.z > 0.0) && self.scene.geometry.passes(origin, direction, skip)
+        let geometry = &self.scene.geometry;
+        (open || direction.z > 0.0)
+            && match self.scattering.passage() {
+                Passage::Across => geometry.passes(origin, direction, skip),
+                Passage::Straight => geometry.passes_from_within(origin, direction, skip),
+            }
     }
 
     fn find(&mut self, carried: &Graded, pdf: f64) {

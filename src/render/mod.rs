@@ -18,6 +18,7 @@ mod probe;
 mod record;
 mod scene;
 mod summation;
+mod within;
 
 pub use light::LightShape;
 pub use picture::{Layer, Picture, PictureEffort, PictureRequest, Region};

@@ -4,7 +4,7 @@
 //! evaluated with both directions in the frame of `d` (`wo` back along the camera side of the path, `wi` toward the
 //! light side) and weighted with `cos(theta_i)`, the cosine to the fiber's normal plane, not to the surface normal. The
 //! new ray leaves as the model's [`Passage`] says. It does not see the segment it leaves nor that segment's two neighbors,
-//! and only rays entering a fiber count as hits, as fibers may overlap.
+//! nor, when it runs on inside its fiber, the joints there; only rays entering a fiber count as hits, as fibers may overlap.
 //!
 //! All three channels travel on one path, and lobes are chosen by what the channels still carry. Nothing is clamped; a path
 //! branches and ends as a [`Guide`] advises, and ends by leaving or on the plate under the cloth when that is black.
@@ -84,6 +84,8 @@ struct Leg {
     /// What it carries, as [`Scattering::importance`] has it: it decides what is followed, not what is found.
     carried: [f64; CHANNELS],
     skip: Skip,
+    /// Whether it may run along inside the fiber it comes from, see [`Place::runs_within`].
+    within: bool,
     begun: Begun,
 }
 
@@ -135,6 +137,7 @@ impl Stage<'_> {
             direction: -toward_camera,
             carried: [1.0; CHANNELS],
             skip: Skip::NOTHING,
+            within: false,
             begun: Begun::Camera,
         }];
         while let Some(leg) = open.pop() {
@@ -145,7 +148,12 @@ impl Stage<'_> {
                 return;
             }
             self.begin(&leg, visitor);
-            match self.geometry.closest(leg.origin, leg.direction, &leg.skip) {
+            let ended = if leg.within {
+                (self.geometry).closest_from_within(leg.origin, leg.direction, &leg.skip)
+            } else {
+                self.geometry.closest(leg.origin, leg.direction, &leg.skip)
+            };
+            match ended {
                 Ended::Fiber(hit) => self.at_fiber(&leg, hit, random, visitor, &mut open),
                 Ended::Down => self.at_plate(&leg, random, visitor, &mut open),
                 Ended::Up => {}
@@ -218,6 +226,7 @@ impl Stage<'_> {
                 direction,
                 carried: grown.map(|g| g / survival),
                 skip,
+                within: place.runs_within(direction),
                 begun: Begun::Fiber(Scatter {
                     wi: sampled.wi,
                     wo,
@@ -274,8 +283,11 @@ impl Stage<'_> {
                 continue;
             };
             let odds = (sum / self.worth[index]).clamp(CONNECTION_FLOOR, 1.0);
-            if random.uniform() >= odds || !self.sees_light(place.exit(direction), direction, &skip)
-            {
+            if random.uniform() >= odds {
+                continue;
+            }
+            let ray = (place.exit(direction), direction);
+            if !self.sees_light(ray, &skip, place.runs_within(direction)) {
                 continue;
             }
             let evaluation = self.scattering.evaluate(wi, wo, place.h);
@@ -298,7 +310,7 @@ impl Stage<'_> {
             let Some(lamp_pdf) = lamp.pdf(from, leg.direction) else {
                 continue;
             };
-            let sees = || self.sees_light(leg.origin, leg.direction, &leg.skip);
+            let sees = || self.sees_light((leg.origin, leg.direction), &leg.skip, leg.within);
             if *free.get_or_insert_with(sees) {
                 let share = pdf / (pdf + lamp_pdf);
                 let factor = [lamp.normalized_radiance() * share; CHANNELS];
@@ -307,10 +319,16 @@ impl Stage<'_> {
         }
     }
 
-    /// Is there nothing between a point and a lamp in that direction?
-    fn sees_light(&self, origin: DVec3, direction: DVec3, skip: &Skip) -> bool {
-        (direction.z > 0.0 || self.plate == Plate::Open)
-            && self.geometry.passes(origin, direction, skip)
+    /// Is there nothing between a point and a lamp in that direction? `within` as in [`Leg`].
+    fn sees_light(&self, (origin, direction): (DVec3, DVec3), skip: &Skip, within: bool) -> bool {
+        if direction.z <= 0.0 && self.plate != Plate::Open {
+            return false;
+        }
+        if within {
+            (self.geometry).passes_from_within(origin, direction, skip)
+        } else {
+            self.geometry.passes(origin, direction, skip)
+        }
     }
 
     /// The plate below the cloth, as a diffuse surface of the given albedo.
@@ -353,6 +371,7 @@ impl Stage<'_> {
                 direction,
                 carried: grown.map(|g| g / survival),
                 skip: Skip::NOTHING,
+                within: false,
                 begun: Begun::Plate {
                     weight: albedo.map(|a| a / survival),
                     pdf: cosine * FRAC_1_PI,
@@ -413,11 +432,16 @@ struct Place {
     /// Where across the fiber the ray met it, see [`Scattering`].
     h: f64,
     passage: Passage,
+    /// Where along the segment, millimeters.
+    along: f64,
+    /// Between which coordinates along it no capsules reach but its own and its neighbors', millimeters.
+    clear: [f64; 2],
 }
 
 impl Place {
     fn new(stage: &Stage<'_>, origin: DVec3, direction: DVec3, hit: Hit) -> Self {
         let (start, end, _) = stage.geometry.placed(hit.image);
+        let passage = stage.scattering.passage();
         let tangent = (end - start).normalize_or(DVec3::X);
         let from_start = origin + direction * hit.distance - start;
         let along = from_start.dot(tangent);
@@ -436,8 +460,26 @@ impl Place {
             center: start + tangent * along,
             offset,
             h,
-            passage: stage.scattering.passage(),
+            passage,
+            along,
+            clear: match passage {
+                Passage::Across => [f64::NEG_INFINITY, f64::INFINITY],
+                Passage::Straight => stage.geometry.clear_range(hit.image),
+            },
         }
+    }
+
+    /// May a ray toward `direction`, going straight on, meet others of its fiber's capsules before it leaves the cylinder?
+    fn runs_within(&self, direction: DVec3) -> bool {
+        let inward = -self.offset.dot(direction);
+        if self.passage == Passage::Across || inward <= 0.0 {
+            return false;
+        }
+        let lengthwise = direction.dot(self.frame.x);
+        let run = lengthwise * 2.0 * inward;
+        let across2 = 1.0 - lengthwise * lengthwise;
+        let [low, high] = self.clear.map(|c| (c - self.along) * across2);
+        run.min(0.0) < low || run.max(0.0) > high
     }
 
     /// Where a ray toward `direction` leaves the fiber.

@@ -1,9 +1,11 @@
 //! Albedos of any scattering function by quadrature over the sphere.
 //!
-//! For tests, tables and charts; too slow for rendering (tens of milliseconds each).
+//! For tests, tables and charts; too slow for rendering (tens of milliseconds each). A near-field function is averaged over
+//! where across the fiber it is met, as a camera that does not resolve the fiber sees it.
 
-use super::{CHANNELS, Scattering, fiber_direction};
+use super::{CHANNELS, Passage, Scattering, fiber_direction};
 use crate::math::GaussLegendre;
+use glam::DVec3;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// How finely the sphere is divided: enough for lobes of width `narrowest`.
@@ -45,6 +47,38 @@ impl SphereRule {
     }
 }
 
+/// A scattering function averaged over `h`.
+struct Mean<'a> {
+    scattering: &'a dyn Scattering,
+    /// `h` and weight.
+    places: Vec<(f64, f64)>,
+}
+
+impl<'a> Mean<'a> {
+    fn new(scattering: &'a dyn Scattering) -> Self {
+        let places = match scattering.passage() {
+            Passage::Across => vec![(0.0, 1.0)],
+            // h = sin(gamma): the integrand is smooth in gamma up to the rim.
+            Passage::Straight => GaussLegendre::new(24)
+                .on(-FRAC_PI_2, FRAC_PI_2)
+                .map(|(gamma, weight)| (gamma.sin(), 0.5 * weight * gamma.cos()))
+                .collect(),
+        };
+        Self { scattering, places }
+    }
+
+    fn value(&self, wi: DVec3, wo: DVec3) -> [f64; CHANNELS] {
+        let mut mean = [0.0; CHANNELS];
+        for &(h, weight) in &self.places {
+            let (value, _) = self.scattering.importance(wi, wo, h, [1.0; CHANNELS]);
+            for c in 0..CHANNELS {
+                mean[c] += weight * value[c];
+            }
+        }
+        mean
+    }
+}
+
 /// Directional albedo `int S(wi, wo) cos(theta_o) dwo` for light from the longitudinal angle `theta_i`: the share of the
 /// incident power that leaves again. Models that conserve energy keep it at most 1.
 pub fn directional_albedo(
@@ -52,12 +86,10 @@ pub fn directional_albedo(
     theta_i: f64,
     rule: &SphereRule,
 ) -> [f64; CHANNELS] {
-    let wi = fiber_direction(theta_i, 0.0);
+    let (wi, mean) = (fiber_direction(theta_i, 0.0), Mean::new(scattering));
     rule.integrate(|theta, phi| {
         let cos = theta.cos();
-        let s = scattering
-            .evaluate(wi, fiber_direction(theta, phi), 0.0)
-            .value;
+        let s = mean.value(wi, fiber_direction(theta, phi));
         s.map(|s| s * cos * cos)
     })
 }
@@ -70,12 +102,10 @@ pub fn reverse_albedo(
     theta_o: f64,
     rule: &SphereRule,
 ) -> [f64; CHANNELS] {
-    let wo = fiber_direction(theta_o, 0.0);
+    let (wo, mean) = (fiber_direction(theta_o, 0.0), Mean::new(scattering));
     rule.integrate(|theta, phi| {
         let cos = theta.cos();
-        let s = scattering
-            .evaluate(fiber_direction(theta, phi), wo, 0.0)
-            .value;
+        let s = mean.value(fiber_direction(theta, phi), wo);
         s.map(|s| s * cos * cos)
     })
 }

@@ -315,6 +315,15 @@ impl Scattering for KhungurnScattering {
     fn batch(&self) -> Option<Box<dyn BatchEvaluate>> {
         Some(Box::new(batch::KhungurnBatch::new(self)))
     }
+
+    fn narrowest(&self) -> f64 {
+        let azimuthal = self.azimuthal.k.powf(-0.5);
+        self.r
+            .width
+            .min(self.tt.width)
+            .min(azimuthal)
+            .min(10_f64.to_radians())
+    }
 }
 
 /// A direction in the fiber frame as the formulas need it.

@@ -7,13 +7,16 @@
 
 pub mod albedo;
 mod batch;
+pub mod chiang;
 mod defensive;
 mod direction;
 pub mod khungurn;
 pub mod normalizer;
 mod parameters;
+mod piecewise;
 
 pub use batch::{BatchEvaluate, BatchValues, Footprint, MAX_COLUMNS, OneByOne};
+pub use chiang::{Chiang, ChiangScattering};
 pub use defensive::Defensive;
 pub use direction::{fiber_direction, longitudinal_angle};
 pub use khungurn::{Khungurn, KhungurnScattering};
@@ -105,6 +108,11 @@ pub trait Scattering: Send + Sync {
     fn batch(&self) -> Option<Box<dyn BatchEvaluate>> {
         None
     }
+
+    /// Standard deviation of the narrowest lobe, radians, for whoever chooses a quadrature rule; at most 10 degrees.
+    fn narrowest(&self) -> f64 {
+        10_f64.to_radians()
+    }
 }
 
 /// A scattering model: a named list of parameters, and what they make.
@@ -145,7 +153,7 @@ pub trait Model: Send + Sync {
 
 /// All models, in the order `--help` lists them.
 pub fn models() -> &'static [&'static dyn Model] {
-    &[&Khungurn]
+    &[&Khungurn, &Chiang]
 }
 
 /// The model with this name.

@@ -25,6 +25,12 @@ pub(crate) fn khungurn(c_r: [f64; 3], c_tt: [f64; 3], widths_deg: [f64; 3]) -> P
     Parameters::defaults(&goniofit::scatter::Khungurn).with_values(values.collect())
 }
 
+/// Chiang parameters.
+pub(crate) fn chiang(color: [f64; 3], beta_m: f64, beta_n: f64) -> Parameters {
+    let [r, g, b] = color;
+    Parameters::defaults(&goniofit::scatter::Chiang).with_values(vec![r, g, b, beta_m, beta_n])
+}
+
 /// A direction from its longitudinal angle and azimuth in degrees.
 pub(crate) fn direction_deg(theta: f64, phi: f64) -> DVec3 {
     fiber_direction(theta.to_radians(), phi.to_radians())
@@ -41,8 +47,7 @@ pub(crate) fn direction_deg(theta: f64, phi: f64) -> DVec3 {
 pub(crate) fn derivative_error(
     model: &dyn Model,
     parameters: &Parameters,
-    wi: DVec3,
-    wo: DVec3,
+    (wi, wo, h): (DVec3, DVec3, f64),
     derivative: impl Fn(&dyn Scattering) -> Evaluation,
 ) -> f64 {
     let scattering = model.prepare(parameters).expect("parameters have meaning");
@@ -52,21 +57,25 @@ pub(crate) fn derivative_error(
         let info = &parameters.infos()[row];
         let range = info.upper - info.lower;
         let x = parameters.values()[slot];
-        let h = 1e-3 * if x > 0.0 { x.min(range) } else { range };
+        let step = 1e-3 * if x > 0.0 { x.min(range) } else { range };
         let value = |k: f64| {
             let mut values = parameters.values().to_vec();
-            values[slot] = x + k * h;
+            values[slot] = x + k * step;
             let moved = model.prepare(&parameters.with_values(values)).ok()?;
-            Some(moved.evaluate(wi, wo, 0.0).value)
+            Some(moved.evaluate(wi, wo, h).value)
         };
-        let slope = five_points(&value, h);
+        let slope = five_points(&value, step);
         for (c, slope) in slope.into_iter().enumerate() {
             if parameters.slot(row, c) != slot {
                 continue;
             }
             let scale = (found.value[c].abs() / range).max(slope.abs()) + 1e-30;
             let error = (found.derivative[row][c] - slope).abs() / scale;
-            assert!(error.is_finite(), "{} at {wi}, {wo}: {found:?}", info.name);
+            assert!(
+                error.is_finite(),
+                "{} at {wi}, {wo}, h {h}: {found:?}",
+                info.name
+            );
             worst = worst.max(error);
         }
     }
@@ -107,8 +116,18 @@ pub(crate) struct Cells {
 
 impl Cells {
     pub(crate) fn around(wo: DVec3, theta_widths: &[f64], phi_width: f64) -> Self {
+        Self::around_azimuths(wo, theta_widths, &[PI], phi_width)
+    }
+
+    /// The same for lobes whose azimuths, counted from that of `wo`, are `turns`.
+    pub(crate) fn around_azimuths(
+        wo: DVec3,
+        theta_widths: &[f64],
+        turns: &[f64],
+        phi_width: f64,
+    ) -> Self {
         let theta_center = -longitudinal_angle(wo);
-        let phi_center = (-wo.z).atan2(-wo.y);
+        let phi_o = wo.z.atan2(wo.y);
         let mut theta: Vec<f64> = (0..=18)
             .map(|k| -FRAC_PI_2 + PI * k as f64 / 18.0)
             .collect();
@@ -117,8 +136,10 @@ impl Cells {
             -7.0, -4.5, -3.0, -2.0, -1.2, -0.5, 0.0, 0.5, 1.2, 2.0, 3.0, 4.5, 7.0,
         ] {
             theta.extend(theta_widths.iter().map(|w| theta_center + step * w));
-            let edge = phi_center + step * phi_width;
-            phi.push(edge - 2.0 * PI * ((edge + PI) / (2.0 * PI)).floor());
+            phi.extend(turns.iter().map(|turn| {
+                let edge = phi_o + turn + step * phi_width;
+                edge - 2.0 * PI * ((edge + PI) / (2.0 * PI)).floor()
+            }));
         }
         theta.retain(|t| t.abs() <= FRAC_PI_2);
         phi.retain(|p| p.abs() <= PI);

@@ -148,6 +148,12 @@ impl Geometry {
         (s.start + offset, s.end + offset, s.radius)
     }
 
+    /// The copies that continue this one along its fiber, before and after.
+    pub(super) fn neighbors(&self, image: Image) -> [Option<Image>; 2] {
+        let Skip([_, before, after]) = self.skip(image);
+        [before, after].map(|i| (i != NO_IMAGE).then_some(i))
+    }
+
     /// What a ray that leaves this copy must not see.
     pub(super) fn skip(&self, image: Image) -> Skip {
         let s = &self.segments[image.segment as usize];
