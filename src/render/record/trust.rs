@@ -1,7 +1,7 @@
 //! How far a recording may be believed away from its parameters.
 
-/// The least [`ConfigurationTrust::ratio`] to believe: above it estimates were right within their standard errors, at 0.4
-/// some were not (`docs/render.md`, "Recorded paths").
+/// The least [`ConfigurationTrust::ratio`] to believe: what was measured above and below it is in
+/// `docs/render.md`, "Recorded paths".
 pub const TRUST_THRESHOLD: f64 = 0.5;
 
 /// How many paths a configuration's estimate really comes from.
