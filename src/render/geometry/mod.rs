@@ -9,6 +9,8 @@
 mod capsules;
 mod cell;
 mod grid;
+#[cfg(test)]
+mod peer;
 mod processor;
 #[cfg(test)]
 mod tests;

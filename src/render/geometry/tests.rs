@@ -33,7 +33,12 @@ fn outside(s: &Segment, offset: DVec3, p: DVec3) -> f64 {
 
 /// Entry into the capsule in f64 from the definition, the first point on the surface, and how deep the ray then gets;
 /// `None` when it misses or starts inside.
-fn enter_by_definition(s: &Segment, offset: DVec3, origin: DVec3, d: DVec3) -> Option<(f64, f64)> {
+pub(super) fn enter_by_definition(
+    s: &Segment,
+    offset: DVec3,
+    origin: DVec3,
+    d: DVec3,
+) -> Option<(f64, f64)> {
     let middle = (0.5 * (s.start + s.end) + offset - origin).dot(d);
     let half = 0.5 * s.start.distance(s.end) + s.radius;
     let distance = |t: f64| outside(s, offset, origin + d * t);
@@ -294,7 +299,7 @@ fn hits_match_brute_force_on_hostile_tiles_on_every_processor_path() {
     }
 }
 
-fn bench_twill() -> FiberTile {
+pub(super) fn bench_twill() -> FiberTile {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/fabrics/bench_twill22.toml");
     crate::fabric::load(std::path::Path::new(path))
         .unwrap()
