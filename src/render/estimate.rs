@@ -35,6 +35,9 @@ const MAX_PILOTS: u64 = 6;
 /// Fewest pilot paths of a group that teach its guide more than they cost.
 const SCHOOL: u64 = 500;
 
+/// By how much variance times cost has to grow before a guide is blamed: pilots are noisy.
+const CLEARLY: f64 = 1.5;
+
 /// What a ray of a guided path costs in rays of one without: more directions are sampled at each hit.
 const GUIDED_RAY: f64 = 1.25;
 
@@ -242,8 +245,10 @@ struct Settled {
     /// Weighted variance of one path, and its cost in rays, at the latest pilot.
     variance: Vec<f64>,
     cost: Vec<f64>,
-    /// Cost times variance of a path without a guide.
-    unguided: Vec<f64>,
+    /// The same of a path without a guide.
+    unguided: Vec<[f64; 2]>,
+    /// Whether a guide made things worse: then there is none any more.
+    refused: Vec<bool>,
 }
 
 impl Settled {
@@ -254,12 +259,13 @@ impl Settled {
             guides: vec![Guide::FRESH; groups],
             variance: vec![0.0; groups],
             cost: vec![1.0; groups],
-            unguided: vec![f64::INFINITY; groups],
+            unguided: vec![[f64::INFINITY; 2]; groups],
+            refused: vec![false; groups],
         }
     }
 
-    /// Takes over a pilot's results, and learns from it where it was large enough. A guide that made things worse is
-    /// dropped.
+    /// Takes over a pilot's results, and learns from it where it was large enough. A guide that made things clearly worse
+    /// is dropped for good.
     fn learn(&mut self, round: &Round<'_>, moments: Vec<Moments>, learned: &[Learned]) {
         for (g, (lesson, rays)) in learned.iter().enumerate() {
             let members = &round.groups[g].members;
@@ -271,11 +277,16 @@ impl Settled {
             let (rays, variance) = (rays / paths, variance * paths);
             let fresh = round.guides[g].is_fresh();
             let cost = if fresh { rays } else { GUIDED_RAY * rays };
+            (self.variance[g], self.cost[g]) = (variance, cost);
             if fresh {
-                self.unguided[g] = cost * variance;
+                self.unguided[g] = [variance, cost];
             }
-            let worse = cost * variance > self.unguided[g];
-            let guide = if worse || round.paths[g] < SCHOOL {
+            let [unguided_variance, unguided_cost] = self.unguided[g];
+            if cost * variance > CLEARLY * unguided_cost * unguided_variance {
+                self.refused[g] = true;
+                (self.variance[g], self.cost[g]) = (unguided_variance, unguided_cost);
+            }
+            let guide = if self.refused[g] || round.paths[g] < SCHOOL {
                 None
             } else {
                 let weight = |&m: &usize| relative_error_weight(moments[m].mean.value, TAU);
@@ -283,7 +294,6 @@ impl Settled {
                 lesson.guide(&weights, rays / variance)
             };
             self.guides[g] = guide.unwrap_or(Guide::FRESH);
-            (self.variance[g], self.cost[g]) = (variance, cost);
         }
         self.moments = moments;
         self.paths.clone_from(&round.paths);
@@ -313,6 +323,9 @@ pub(super) fn plan<'a>(
     let pilot = |number: u64, paths: Vec<u64>, settled: &mut Settled| -> Result<()> {
         let round = round(number, paths, settled, "pilot");
         let (moments, learned) = round.pilot(n, watch)?;
+        for (c, m) in request.configurations.iter().zip(&moments) {
+            finished(c.id, m, 0, 0, request.parameters)?; // refuses what is not finite
+        }
         settled.learn(&round, moments, &learned);
         Ok(())
     };

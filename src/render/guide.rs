@@ -101,6 +101,9 @@ impl Guide {
 
     /// The probability of following a branch that carries `carried`.
     pub(super) fn survival(&self, state: usize, carried: [f64; CHANNELS]) -> f64 {
+        if carried.iter().any(|c| c.is_nan()) {
+            return 1.0; // it is found in the result
+        }
         let most = carried[0].max(carried[1]).max(carried[2]);
         let Some(merit) = self.merit.get(state) else {
             return most.clamp(FLOOR, 1.0);

@@ -102,7 +102,7 @@ impl Request<'_> {
 
 /// The estimate for one configuration.
 ///
-/// Mean +- 1.96 standard errors is a 95 % interval where the error is below a tenth of the mean (`tests/render_coverage.rs`).
+/// Mean +- 1.96 standard errors is a 95 % interval where the error is below a twentieth of the mean (`tests/render_coverage.rs`).
 /// Above, the rarest bright paths have not been seen often enough: such intervals held the truth in 86 to 93 % of runs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {

@@ -84,7 +84,7 @@ struct Leg {
     /// What it carries, as [`Scattering::importance`] has it: it decides what is followed, not what is found.
     carried: [f64; CHANNELS],
     skip: Skip,
-    /// Whether it may run along inside the fiber it comes from, see [`Place::runs_within`].
+    /// Whether it may run along inside a fiber, see [`Place::runs_within`].
     within: bool,
     begun: Begun,
 }
@@ -226,7 +226,7 @@ impl Stage<'_> {
                 direction,
                 carried: grown.map(|g| g / survival),
                 skip,
-                within: place.runs_within(direction),
+                within: place.runs_within(),
                 begun: Begun::Fiber(Scatter {
                     wi: sampled.wi,
                     wo,
@@ -287,7 +287,7 @@ impl Stage<'_> {
                 continue;
             }
             let ray = (place.exit(direction), direction);
-            if !self.sees_light(ray, &skip, place.runs_within(direction)) {
+            if !self.sees_light(ray, &skip, place.runs_within()) {
                 continue;
             }
             let evaluation = self.scattering.evaluate(wi, wo, place.h);
@@ -412,8 +412,10 @@ fn times(a: [f64; CHANNELS], b: [f64; CHANNELS]) -> [f64; CHANNELS] {
     std::array::from_fn(|c| a[c] * b[c])
 }
 
+/// The largest; not a number if one of them is none.
 fn largest(v: [f64; CHANNELS]) -> f64 {
-    v[0].max(v[1]).max(v[2])
+    let none = v.iter().find(|x| x.is_nan()).copied();
+    none.unwrap_or(v[0].max(v[1]).max(v[2]))
 }
 
 /// Length of a vector's part across the fiber; of a unit vector the cosine to the fiber's normal plane.
@@ -432,16 +434,11 @@ struct Place {
     /// Where across the fiber the ray met it, see [`Scattering`].
     h: f64,
     passage: Passage,
-    /// Where along the segment, millimeters.
-    along: f64,
-    /// Between which coordinates along it no capsules reach but its own and its neighbors', millimeters.
-    clear: [f64; 2],
 }
 
 impl Place {
     fn new(stage: &Stage<'_>, origin: DVec3, direction: DVec3, hit: Hit) -> Self {
         let (start, end, _) = stage.geometry.placed(hit.image);
-        let passage = stage.scattering.passage();
         let tangent = (end - start).normalize_or(DVec3::X);
         let from_start = origin + direction * hit.distance - start;
         let along = from_start.dot(tangent);
@@ -460,26 +457,13 @@ impl Place {
             center: start + tangent * along,
             offset,
             h,
-            passage,
-            along,
-            clear: match passage {
-                Passage::Across => [f64::NEG_INFINITY, f64::INFINITY],
-                Passage::Straight => stage.geometry.clear_range(hit.image),
-            },
+            passage: stage.scattering.passage(),
         }
     }
 
-    /// May a ray toward `direction`, going straight on, meet others of its fiber's capsules before it leaves the cylinder?
-    fn runs_within(&self, direction: DVec3) -> bool {
-        let inward = -self.offset.dot(direction);
-        if self.passage == Passage::Across || inward <= 0.0 {
-            return false;
-        }
-        let lengthwise = direction.dot(self.frame.x);
-        let run = lengthwise * 2.0 * inward;
-        let across2 = 1.0 - lengthwise * lengthwise;
-        let [low, high] = self.clear.map(|c| (c - self.along) * across2);
-        run.min(0.0) < low || run.max(0.0) > high
+    /// Whether rays from here may run along inside fibers: the one that was hit, or one that overlaps it.
+    fn runs_within(&self) -> bool {
+        self.passage == Passage::Straight
     }
 
     /// Where a ray toward `direction` leaves the fiber.

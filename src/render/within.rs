@@ -1,4 +1,4 @@
-//! Rays that run on inside the fiber they have met.
+//! Rays that run on inside the fiber they have met, or inside one that overlaps it.
 //!
 //! A near-field path goes straight on through its fiber. A steep ray gets past the neighbors of the segment it was met in,
 //! and there it enters the round end of the next capsule while it is still inside the fiber. The surface of a fiber is that of
@@ -11,7 +11,7 @@ use glam::DVec3;
 /// rounding, so that no entry from outside is lost at a joint.
 const DEPTH: f64 = 1e-4;
 
-/// Most joints one ray passes inside its fiber: it would have to run along some 10,000 radii.
+/// Most joints one ray passes inside its fiber, some 10,000 radii; it is taken to meet the fiber there.
 const MOST_JOINTS: usize = 10_000;
 
 impl Geometry {
@@ -23,6 +23,7 @@ impl Geometry {
         skip: &Skip,
     ) -> Ended {
         let (mut walked, mut skip) = (0.0, *skip);
+        let mut joint = None;
         for _ in 0..MOST_JOINTS {
             let start = origin + direction * walked;
             let hit = match self.closest(start, direction, &skip) {
@@ -37,8 +38,14 @@ impl Geometry {
                 });
             }
             skip = self.skip(hit.image);
+            joint = Some(hit.image);
         }
-        unreachable!("a ray from {origin} toward {direction} meets joints without end")
+        joint.map_or(Ended::Down, |image| {
+            Ended::Fiber(Hit {
+                distance: walked,
+                image,
+            })
+        })
     }
 
     /// [`Geometry::passes`] for such a ray.
@@ -50,26 +57,13 @@ impl Geometry {
             )
     }
 
-    /// The range along a segment, measured from its start, that only its own and its neighbors' capsules reach into: the round
-    /// ends of those after the neighbors reach back by a radius.
-    pub(super) fn clear_range(&self, image: Image) -> [f64; 2] {
-        let (start, end, radius) = self.placed(image);
-        // A tenth of a neighbor's length is left for the bend between the two.
-        let beyond = self.neighbors(image).map(|neighbor| {
-            neighbor.map_or(f64::INFINITY, |n| {
-                let (a, b, _) = self.placed(n);
-                0.9 * (b - a).length() - radius
-            })
-        });
-        [-beyond[0], (end - start).length() + beyond[1]]
-    }
-
     /// Is this point of a segment's surface inside the fiber?
     fn is_joint(&self, image: Image, point: DVec3) -> bool {
         self.neighbors(image).into_iter().flatten().any(|neighbor| {
             let (start, end, radius) = self.placed(neighbor);
             let (axis, from_start) = (end - start, point - start);
-            let along = (from_start.dot(axis) / axis.length_squared()).clamp(0.0, 1.0);
+            let along = (from_start.dot(axis) / axis.length_squared().max(f64::MIN_POSITIVE))
+                .clamp(0.0, 1.0);
             (from_start - axis * along).length() < radius * (1.0 - DEPTH)
         })
     }

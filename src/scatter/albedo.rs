@@ -70,7 +70,7 @@ impl<'a> Mean<'a> {
     fn value(&self, wi: DVec3, wo: DVec3) -> [f64; CHANNELS] {
         let mut mean = [0.0; CHANNELS];
         for &(h, weight) in &self.places {
-            let (value, _) = self.scattering.importance(wi, wo, h, [1.0; CHANNELS]);
+            let value = self.scattering.evaluate(wi, wo, h).value;
             for c in 0..CHANNELS {
                 mean[c] += weight * value[c];
             }

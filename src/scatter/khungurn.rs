@@ -90,7 +90,8 @@ impl Model for Khungurn {
 /// Least share of the samples that each lobe gets, so that derivatives by a color near zero stay sampled.
 const LEAST_SHARE: f64 = 0.05;
 
-/// Least color by which paths are followed: at a color of zero, a path carries derivatives where it carries no light.
+/// Least color by which paths are followed: at a color of zero, a path carries derivatives where it carries no light. So it
+/// does where C_R = 1 leaves nothing to transmit.
 const LEAST_COLOR: f64 = 0.01;
 
 /// Most points of a light that are looked at.
@@ -126,7 +127,10 @@ impl KhungurnScattering {
         Ok(Self {
             c_r,
             c_tt,
-            followed: [c_r, c_tt].map(|color| color.map(|c| c.max(LEAST_COLOR))),
+            followed: [
+                c_r.map(|c| c.clamp(LEAST_COLOR, 1.0 - LEAST_COLOR)),
+                c_tt.map(|c| c.max(LEAST_COLOR)),
+            ],
             r: LongitudinalLobe::new(parameters.scalar("beta_r")),
             tt: LongitudinalLobe::new(parameters.scalar("beta_tt")),
             azimuthal: VonMises::new(parameters.scalar("gamma_tt")),
