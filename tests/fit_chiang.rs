@@ -6,43 +6,19 @@
     missing_docs
 )]
 
-use glam::DVec3;
+#[path = "common/render_scenes.rs"]
+mod render_scenes;
+
 use goniofit::base::Unwatched;
-use goniofit::fabric::{FiberTile, NO_SEGMENT, Segment};
 use goniofit::fit::{Budget, Options, fit};
-use goniofit::math::{PolarDirection, Random};
+use goniofit::math::PolarDirection;
 use goniofit::render::{Effort, FiberScene, FiberSceneOptions, LightShape, Request, Scene};
 use goniofit::scatter::{Chiang, Parameters};
 use goniofit::session::{Configuration, Intensity, Measurements};
-use std::f64::consts::TAU;
+use render_scenes::felt;
 
 fn seed() -> u64 {
     std::env::var("SEED").map_or(31, |s| s.parse().unwrap())
-}
-
-/// Short fibers in all horizontal directions, several deep.
-fn felt() -> FiberTile {
-    let mut random = Random::keyed(&[78]);
-    let segments = (0..120)
-        .map(|_| {
-            let mut u = || random.uniform();
-            let start = DVec3::new(u(), u(), 0.2 * u());
-            let turn = TAU * u();
-            let end = start + DVec3::new(turn.cos(), turn.sin(), 0.3 * (u() - 0.5)) * 0.4;
-            Segment {
-                start,
-                end,
-                radius: 0.02,
-                yarn_system: 0,
-                previous: NO_SEGMENT,
-                next: NO_SEGMENT,
-            }
-        })
-        .collect();
-    FiberTile {
-        size: [1.0, 1.0],
-        segments,
-    }
 }
 
 #[test]
@@ -54,7 +30,7 @@ fn a_fit_returns_the_hair_color_of_a_felt() {
         },
         ..FiberSceneOptions::default()
     };
-    let scene = FiberScene::new(&felt(), &Chiang, options).unwrap();
+    let scene = FiberScene::new(&felt(120, 0.2), &Chiang, options).unwrap();
     let configurations: Vec<Configuration> = (1..)
         .zip([
             (20.0, 180.0),

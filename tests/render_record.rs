@@ -2,9 +2,11 @@
 //! errors, and farther away a verdict that says they should not be believed.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
+#[path = "common/render_scenes.rs"]
+mod render_scenes;
+
 use glam::DVec3;
 use goniofit::base::{Result, Unwatched};
-use goniofit::fabric::{FiberTile, NO_SEGMENT, Segment};
 use goniofit::fit::RenderPair;
 use goniofit::math::statistics::sidak_level;
 use goniofit::math::{PolarDirection, Random};
@@ -16,35 +18,10 @@ use goniofit::scatter::{
     Evaluation, Khungurn, Model, ParameterInfo, Parameters, Sampled, Scattering,
 };
 use goniofit::session::Configuration;
-use std::f64::consts::TAU;
+use render_scenes::felt;
 
 fn seed() -> u64 {
     std::env::var("SEED").map_or(2015, |s| s.parse().unwrap())
-}
-
-/// A loose felt of random short fibers, dense enough for several hits per path.
-fn felt() -> FiberTile {
-    let mut random = Random::keyed(&[77]);
-    let segments = (0..60)
-        .map(|_| {
-            let mut u = || random.uniform();
-            let start = DVec3::new(u(), u(), 0.2 * u());
-            let turn = TAU * u();
-            let end = start + DVec3::new(turn.cos(), turn.sin(), 0.3 * (u() - 0.5)) * 0.4;
-            Segment {
-                start,
-                end,
-                radius: 0.02,
-                yarn_system: 0,
-                previous: NO_SEGMENT,
-                next: NO_SEGMENT,
-            }
-        })
-        .collect();
-    FiberTile {
-        size: [1.0, 1.0],
-        segments,
-    }
 }
 
 /// A wide lamp, so that paths arrive on it as well as connect to it.
@@ -57,7 +34,7 @@ fn scene(model: &'static dyn Model, plate: Plate) -> FiberScene {
         plate,
         ..FiberSceneOptions::default()
     };
-    FiberScene::new(&felt(), model, options).unwrap()
+    FiberScene::new(&felt(60, 0.2), model, options).unwrap()
 }
 
 /// Two cameras, one with two lamps.

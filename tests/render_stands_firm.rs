@@ -197,6 +197,9 @@ fn fibers_that_reflect_all() {
     let tile = felt(60, 0.2);
     let mirror = [0.999, 0.999, 0.999, 0.001, 0.5, 0.999, 5.0, 20.0, 30.0];
     stands(&subject(&tile, Plate::Black, mirror), &poses(), 3000);
+    // At exactly 1 nothing is transmitted, but the derivative by C_R tells what would be.
+    let perfect = [1.0, 1.0, 1.0, 0.5, 0.5, 0.9, 2.0, 30.0, 30.0];
+    stands(&subject(&tile, Plate::Black, perfect), &poses(), 3000);
 }
 
 #[test]

@@ -11,7 +11,7 @@ use glam::DVec3;
 /// rounding, so that no entry from outside is lost at a joint.
 const DEPTH: f64 = 1e-4;
 
-/// Most joints one ray passes inside its fiber, some 10,000 radii; it is taken to meet the fiber there.
+/// Most joints one ray passes inside its fiber; it is taken to meet the fiber there.
 const MOST_JOINTS: usize = 10_000;
 
 impl Geometry {
