@@ -80,11 +80,11 @@ fn report(model: &dyn Model, name: &str, values: Vec<f64>) {
     });
     let value = best_of(7, 400_000, || {
         let (wi, wo, h) = pair();
-        black_box(scattering.importance(wi, wo, h, [1.0; 3]));
+        black_box(scattering.importance(wi, &scattering.outgoing(wo, h, [1.0; 3])));
     });
     let sample = best_of(7, 200_000, || {
         let (_, wo, h) = pair();
-        black_box(scattering.sample(wo, h, [1.0; 3], &mut random));
+        black_box(scattering.sample(&scattering.outgoing(wo, h, [1.0; 3]), &mut random));
     });
     println!(
         "{name:>32} {:>12.0} {evaluate:>12.1} {value:>12.1} {sample:>12.1}",

@@ -159,7 +159,7 @@ fn lone_fiber(p: &Parameters, [tl, pl, tc, pc]: [f64; 4], part: f64) -> [f64; 3]
             normal_irradiance += solid_angle * wi.dot(w);
             let cosine = wi.y.hypot(wi.z);
             for (gamma, weight) in over_h.on(-FRAC_PI_2, FRAC_PI_2) {
-                let (value, _) = s.importance(wi, wo, part * gamma.sin(), [1.0; 3]);
+                let (value, _) = s.importance(wi, &s.outgoing(wo, part * gamma.sin(), [1.0; 3]));
                 for c in 0..3 {
                     sum[c] += solid_angle * 0.5 * weight * gamma.cos() * value[c] * cosine;
                 }

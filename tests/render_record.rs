@@ -15,7 +15,7 @@ use goniofit::render::{
     Recording, Request, Scene, TRUST_THRESHOLD,
 };
 use goniofit::scatter::{
-    Evaluation, Khungurn, Model, ParameterInfo, Parameters, Sampled, Scattering,
+    Evaluation, Khungurn, Model, Outgoing, ParameterInfo, Parameters, Sampled, Scattering,
 };
 use goniofit::session::Configuration;
 use render_scenes::felt;
@@ -221,14 +221,14 @@ impl Scattering for Bare {
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation {
         self.0.evaluate(wi, wo, h)
     }
-    fn importance(&self, wi: DVec3, wo: DVec3, h: f64, carried: [f64; 3]) -> ([f64; 3], f64) {
-        self.0.importance(wi, wo, h, carried)
+    fn importance(&self, wi: DVec3, o: &Outgoing) -> ([f64; 3], f64) {
+        self.0.importance(wi, o)
     }
-    fn sample(&self, wo: DVec3, h: f64, c: [f64; 3], random: &mut Random) -> Option<Sampled> {
-        self.0.sample(wo, h, c, random)
+    fn sample(&self, o: &Outgoing, random: &mut Random) -> Option<Sampled> {
+        self.0.sample(o, random)
     }
-    fn light_points(&self, wi: DVec3, wo: DVec3, half_angle: f64) -> usize {
-        self.0.light_points(wi, wo, half_angle)
+    fn light_points(&self, wi: DVec3, o: &Outgoing, half_angle: f64) -> usize {
+        self.0.light_points(wi, o, half_angle)
     }
 }
 
@@ -382,15 +382,15 @@ impl Scattering for Wrong {
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation {
         self.at.evaluate(wi, wo, h)
     }
-    fn importance(&self, wi: DVec3, wo: DVec3, h: f64, carried: [f64; 3]) -> ([f64; 3], f64) {
-        self.at.importance(wi, wo, h, carried)
+    fn importance(&self, wi: DVec3, o: &Outgoing) -> ([f64; 3], f64) {
+        self.at.importance(wi, o)
     }
-    fn sample(&self, wo: DVec3, h: f64, carried: [f64; 3], random: &mut Random) -> Option<Sampled> {
+    fn sample(&self, o: &Outgoing, random: &mut Random) -> Option<Sampled> {
         if random.uniform() >= 0.1 {
-            return self.at.sample(wo, h, carried, random);
+            return self.at.sample(o, random);
         }
-        let wi = self.wide.sample(wo, h, carried, random)?.wi;
-        let (value, pdf) = self.at.importance(wi, wo, h, carried);
+        let wi = self.wide.sample(o, random)?.wi;
+        let (value, pdf) = self.at.importance(wi, o);
         let factor = wi.y.hypot(wi.z) / pdf;
         Some(Sampled {
             wi,

@@ -8,7 +8,7 @@ mod scatter_laws;
 use glam::DVec3;
 use goniofit::math::GaussLegendre;
 use goniofit::math::statistics::{Running, sidak_level};
-use goniofit::scatter::{Chiang, Model, Scattering, fiber_direction};
+use goniofit::scatter::{Chiang, Model, Outgoing, Scattering, fiber_direction};
 use scatter_laws::{Cells, chi_square, chiang, direction_deg, stream};
 use serde_json::Value;
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -87,7 +87,7 @@ fn returned(s: &dyn Scattering, wo: DVec3, h: f64) -> [f64; 3] {
             for (theta, weight) in rule.on(edge(panel), edge(panel + 1)) {
                 let wi = fiber_direction(theta, step * (f64::from(k) + 0.5));
                 let cos2 = theta.cos().powi(2);
-                let (value, _) = s.importance(wi, wo, h, [1.0; 3]);
+                let (value, _) = s.importance(wi, &s.outgoing(wo, h, [1.0; 3]));
                 for c in 0..3 {
                     sum[c] += weight * step * cos2 * value[c];
                 }
@@ -119,7 +119,8 @@ fn a_clear_fiber_returns_all_light_and_a_black_one_its_fresnel_reflection() {
         let ring: f64 = (0..600)
             .map(|k| {
                 let wi = fiber_direction(t, TAU * f64::from(k) / 600.0);
-                s.importance(wi, direction_deg(50.0, 0.0), 0.2, [1.0; 3]).0[0]
+                s.importance(wi, &s.outgoing(direction_deg(50.0, 0.0), 0.2, [1.0; 3]))
+                    .0[0]
             })
             .sum();
         t.cos().powi(3) * ring * TAU / 600.0
@@ -146,7 +147,7 @@ fn brightest(wo: DVec3, h: f64) -> DVec3 {
     for theta in -89..90 {
         for phi in 0..720 {
             let wi = direction_deg(f64::from(theta), 0.5 * f64::from(phi));
-            let value = s.importance(wi, wo, h, [1.0; 3]).0[0] * wi.y.hypot(wi.z);
+            let value = s.importance(wi, &s.outgoing(wo, h, [1.0; 3])).0[0] * wi.y.hypot(wi.z);
             if value > best.0 {
                 best = (value, wi);
             }
@@ -259,13 +260,13 @@ impl Case {
         )
     }
 
+    fn outgoing(&self) -> Outgoing {
+        self.scattering.outgoing(self.wo, self.h, [1.0; 3])
+    }
+
     fn draw<'a>(&'a self, random: &'a mut goniofit::math::Random) -> impl FnMut() -> DVec3 + 'a {
-        || {
-            self.scattering
-                .sample(self.wo, self.h, [1.0; 3], random)
-                .unwrap()
-                .wi
-        }
+        let outgoing = self.outgoing();
+        move || self.scattering.sample(&outgoing, random).unwrap().wi
     }
 }
 
@@ -276,7 +277,7 @@ fn samples_follow_the_density() {
     let level = sidak_level(1e-3, cases.len());
     for (k, case) in cases.iter().enumerate() {
         let cells = case.cells();
-        let pdf = |w: DVec3| case.scattering.importance(w, case.wo, case.h, [1.0; 3]).1;
+        let pdf = |w: DVec3| case.scattering.importance(w, &case.outgoing()).1;
         let probabilities = cells.integrate(pdf);
         let total: f64 = probabilities.iter().sum();
         assert!(
@@ -294,8 +295,7 @@ fn samples_follow_the_density() {
 fn control_samples_of_slightly_other_lobes_fail() {
     let case = &cases()[1];
     let cells = case.cells();
-    let probabilities =
-        cells.integrate(|w| case.scattering.importance(w, case.wo, case.h, [1.0; 3]).1);
+    let probabilities = cells.integrate(|w| case.scattering.importance(w, &case.outgoing()).1);
     let color = [0.8, 0.4, 0.72];
     let others = [
         ("beta_m + 5 %", prepared(color, 0.315, 0.3), case.h),
@@ -310,7 +310,10 @@ fn control_samples_of_slightly_other_lobes_fail() {
     for (k, (what, other, h)) in others.into_iter().enumerate() {
         let mut random = stream(2, k);
         let (p, text) = chi_square(&cells, &probabilities, N, || {
-            other.sample(case.wo, h, [1.0; 3], &mut random).unwrap().wi
+            other
+                .sample(&other.outgoing(case.wo, h, [1.0; 3]), &mut random)
+                .unwrap()
+                .wi
         });
         println!("{what}: {text}");
         assert!(p < 1e-5, "{what}: {text}");
@@ -331,7 +334,7 @@ fn weights_average_to_the_light_returned() {
         for _ in 0..N {
             let sampled = case
                 .scattering
-                .sample(case.wo, case.h, [1.0; 3], &mut random)
+                .sample(&case.outgoing(), &mut random)
                 .unwrap();
             for c in 0..3 {
                 weights[c].push(sampled.weight[c]);
@@ -363,14 +366,13 @@ fn the_reported_evaluation_and_weight_belong_to_the_reported_direction() {
         for _ in 0..2000 {
             let sampled = case
                 .scattering
-                .sample(case.wo, case.h, [1.0; 3], &mut random)
+                .sample(&case.outgoing(), &mut random)
                 .unwrap();
             let again = case.scattering.evaluate(sampled.wi, case.wo, case.h);
             let cos = sampled.wi.y.hypot(sampled.wi.z);
             let close = |a: f64, b: f64, scale: f64| (a - b).abs() <= 1e-9 * scale.abs();
             let context = format!("{}: {sampled:?} {again:?}", case.name);
-            let carried = [1.0; 3];
-            let (value, pdf) = (case.scattering).importance(sampled.wi, case.wo, case.h, carried);
+            let (value, pdf) = (case.scattering).importance(sampled.wi, &case.outgoing());
             assert!((sampled.wi.length() - 1.0).abs() < 1e-14, "{context}");
             assert!(close(sampled.pdf, pdf, pdf), "{context}");
             for c in 0..3 {

@@ -10,7 +10,7 @@ use goniofit::math::Random;
 use goniofit::math::statistics::{Running, sidak_level};
 use goniofit::scatter::albedo::{SphereRule, directional_albedo, reverse_albedo};
 use goniofit::scatter::normalizer::lobe_normalizer;
-use goniofit::scatter::{Khungurn, Model, Scattering, longitudinal_angle};
+use goniofit::scatter::{Khungurn, Model, Outgoing, Scattering, longitudinal_angle};
 use scatter_laws::{Cells, chi_square, direction_deg, khungurn, stream};
 use statrs::distribution::{ContinuousCDF, Normal};
 
@@ -68,7 +68,7 @@ impl Case {
     }
 
     fn pdf(&self, wi: DVec3) -> f64 {
-        self.scattering.importance(wi, self.wo, 0.0, CARRIED).1
+        self.scattering.importance(wi, &self.outgoing()).1
     }
 
     fn rule(&self) -> SphereRule {
@@ -76,13 +76,13 @@ impl Case {
         SphereRule::new(narrowest.to_radians())
     }
 
+    fn outgoing(&self) -> Outgoing {
+        self.scattering.outgoing(self.wo, 0.0, CARRIED)
+    }
+
     fn draw<'a>(&'a self, random: &'a mut Random) -> impl FnMut() -> DVec3 + 'a {
-        || {
-            self.scattering
-                .sample(self.wo, 0.0, CARRIED, random)
-                .unwrap()
-                .wi
-        }
+        let outgoing = self.outgoing();
+        move || self.scattering.sample(&outgoing, random).unwrap().wi
     }
 }
 
@@ -136,7 +136,10 @@ fn control_samples_of_slightly_other_lobes_fail() {
     for (k, (what, other, wo)) in others.into_iter().enumerate() {
         let mut random = stream(2, k);
         let (p, text) = chi_square(&cells, &probabilities, N, || {
-            other.sample(wo, 0.0, CARRIED, &mut random).unwrap().wi
+            other
+                .sample(&other.outgoing(wo, 0.0, CARRIED), &mut random)
+                .unwrap()
+                .wi
         });
         println!("{what}: {text}");
         assert!(p < 1e-6, "{what}: {text}");
@@ -162,11 +165,9 @@ fn the_reported_evaluation_and_weight_belong_to_the_reported_direction() {
         for _ in 0..2000 {
             let sampled = case
                 .scattering
-                .sample(case.wo, 0.0, CARRIED, &mut random)
+                .sample(&case.outgoing(), &mut random)
                 .unwrap();
-            let (value, pdf) = case
-                .scattering
-                .importance(sampled.wi, case.wo, 0.0, CARRIED);
+            let (value, pdf) = case.scattering.importance(sampled.wi, &case.outgoing());
             let cos = sampled.wi.y.hypot(sampled.wi.z);
             let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();
             let context = format!("{}: {sampled:?} {value:?} {pdf}", case.name);
@@ -185,7 +186,7 @@ fn z_score(case: &Case, purpose: u64, k: usize, c: usize, expected: f64) -> (f64
     let mut weights = Running::default();
     for _ in 0..N {
         let sampled = (case.scattering)
-            .sample(case.wo, 0.0, CARRIED, &mut random)
+            .sample(&case.outgoing(), &mut random)
             .unwrap();
         // The weight itself follows paths: it is more where a color is nearly zero.
         let value = case.scattering.evaluate(sampled.wi, case.wo, 0.0).value[c];

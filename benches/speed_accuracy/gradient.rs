@@ -8,8 +8,8 @@ use goniofit::fabric::Fabric;
 use goniofit::math::Random;
 use goniofit::render::{Effort, Estimates, FiberScene, FiberSceneOptions, Request, Scene};
 use goniofit::scatter::{
-    CHANNELS, Evaluation, Khungurn, MAX_ROWS, Model, ParameterInfo, Parameters, Passage, Sampled,
-    Scattering,
+    CHANNELS, Evaluation, Khungurn, MAX_ROWS, Model, Outgoing, ParameterInfo, Parameters, Passage,
+    Sampled, Scattering,
 };
 use goniofit::session::Configuration;
 use serde::{Deserialize, Serialize};
@@ -60,33 +60,28 @@ impl Model for ValueOnly {
 impl Scattering for ValueOnlyScattering {
     fn evaluate(&self, wi: glam::DVec3, wo: glam::DVec3, h: f64) -> Evaluation {
         Evaluation {
-            value: self.0.importance(wi, wo, h, [1.0; CHANNELS]).0,
+            value: self
+                .0
+                .importance(wi, &self.0.outgoing(wo, h, [1.0; CHANNELS]))
+                .0,
             derivative: [[0.0; CHANNELS]; MAX_ROWS],
         }
     }
 
-    fn importance(
-        &self,
-        wi: glam::DVec3,
-        wo: glam::DVec3,
-        h: f64,
-        carried: [f64; CHANNELS],
-    ) -> ([f64; CHANNELS], f64) {
-        self.0.importance(wi, wo, h, carried)
+    fn outgoing(&self, wo: glam::DVec3, h: f64, carried: [f64; CHANNELS]) -> Outgoing {
+        self.0.outgoing(wo, h, carried)
     }
 
-    fn sample(
-        &self,
-        wo: glam::DVec3,
-        h: f64,
-        carried: [f64; CHANNELS],
-        random: &mut Random,
-    ) -> Option<Sampled> {
-        self.0.sample(wo, h, carried, random)
+    fn importance(&self, wi: glam::DVec3, o: &Outgoing) -> ([f64; CHANNELS], f64) {
+        self.0.importance(wi, o)
     }
 
-    fn light_points(&self, wi: glam::DVec3, wo: glam::DVec3, half_angle: f64) -> usize {
-        self.0.light_points(wi, wo, half_angle)
+    fn sample(&self, o: &Outgoing, random: &mut Random) -> Option<Sampled> {
+        self.0.sample(o, random)
+    }
+
+    fn light_points(&self, wi: glam::DVec3, o: &Outgoing, half_angle: f64) -> usize {
+        self.0.light_points(wi, o, half_angle)
     }
 
     fn passage(&self) -> Passage {

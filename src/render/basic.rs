@@ -130,7 +130,8 @@ impl Tracer<'_> {
                 );
             }
         }
-        let s = (self.scattering).sample(wo, h, ray.carried[0], &mut self.random)?;
+        let outgoing = self.scattering.outgoing(wo, h, ray.carried[0]);
+        let s = self.scattering.sample(&outgoing, &mut self.random)?;
         let e = self.scattering.evaluate(s.wi, wo, h);
         let factor = s.wi.y.hypot(s.wi.z) / s.pdf;
         let carried = self.roulette(times(&ray.carried, &scattered(&e, factor)))?;

@@ -335,7 +335,8 @@ fn naive_path(
                 let (start, end, radius) = geometry.placed(hit.image);
                 let frame = Frame::from_tangent((end - start).normalize());
                 let wo = frame.to_local(-direction);
-                let Some(s) = scattering.sample(wo, 0.0, weight, random) else {
+                let Some(s) = scattering.sample(&scattering.outgoing(wo, 0.0, weight), random)
+                else {
                     return [0.0; 3];
                 };
                 let at = frame.to_local(origin + direction * hit.distance - start);

@@ -30,6 +30,8 @@ pub(super) struct Lamp {
     /// Half edges of the square.
     half_u: DVec3,
     half_v: DVec3,
+    /// Of the circle through its corners, seen from the sample center.
+    half_angle: f64,
     /// Toward the sample.
     normal: DVec3,
     area: f64,
@@ -55,6 +57,7 @@ impl Lamp {
             center: w * shape.distance,
             half_u: DVec3::new(-sp, cp, 0.0) * half,
             half_v: DVec3::new(ct * cp, ct * sp, -st) * half,
+            half_angle: (half * std::f64::consts::SQRT_2 / shape.distance).atan(),
             normal: -w,
             area: shape.side * shape.side,
             normal_irradiance: normal_irradiance(shape),
@@ -66,12 +69,13 @@ impl Lamp {
         self.point(from, [random.uniform(), random.uniform()])
     }
 
-    pub(super) fn center(&self) -> DVec3 {
-        self.center
+    /// Unit vector from the sample center to the light's center.
+    pub(super) fn toward(&self) -> DVec3 {
+        -self.normal
     }
 
     pub(super) fn half_angle(&self) -> f64 {
-        (self.half_u.length() * std::f64::consts::SQRT_2 / self.center.length()).atan()
+        self.half_angle
     }
 
     /// The point of the square at `uv` in the unit square.

@@ -14,7 +14,7 @@ use super::guide::{Guide, StateMap};
 use super::light::Lamp;
 use super::scene::Plate;
 use crate::math::{Frame, Random};
-use crate::scatter::{CHANNELS, Evaluation, Passage, Scattering};
+use crate::scatter::{CHANNELS, Evaluation, Outgoing, Passage, Scattering};
 use glam::DVec3;
 use std::f64::consts::{FRAC_1_PI, TAU};
 
@@ -202,15 +202,15 @@ impl Stage<'_> {
     ) {
         let place = Place::new(self, leg.origin, leg.direction, hit);
         let wo = place.frame.to_local(-leg.direction);
-        self.connect_lamps(&place, wo, leg, random, visitor);
+        let outgoing = self.scattering.outgoing(wo, place.h, leg.carried);
+        self.connect_lamps(&place, &outgoing, leg, random, visitor);
 
         let candidates = self.guide.candidates();
         let share = 1.0 / candidates as f64;
         let skip = self.geometry.skip(hit.image);
         let mut comb = Comb::new(random);
         for _ in 0..candidates {
-            let sampled = self.scattering.sample(wo, place.h, leg.carried, random);
-            let Some(sampled) = sampled else {
+            let Some(sampled) = self.scattering.sample(&outgoing, random) else {
                 continue;
             };
             let direction = place.frame.to_world(sampled.wi);
@@ -246,17 +246,15 @@ impl Stage<'_> {
     fn connect_lamps(
         &self,
         place: &Place,
-        wo: DVec3,
+        o: &Outgoing,
         leg: &Leg,
         random: &mut Random,
         visitor: &mut impl Visitor,
     ) {
         let skip = self.geometry.skip(place.hit.image);
         for (index, lamp) in self.lamps.iter().enumerate() {
-            let toward = place
-                .frame
-                .to_local((lamp.center() - place.center).normalize());
-            let points = self.scattering.light_points(toward, wo, lamp.half_angle());
+            let toward = place.frame.to_local(lamp.toward());
+            let points = self.scattering.light_points(toward, o, lamp.half_angle());
             let shift = [random.uniform(), random.uniform()];
             let (mut sum, mut chosen) = (0.0, None);
             for k in 0..points {
@@ -265,7 +263,7 @@ impl Stage<'_> {
                     continue;
                 };
                 let wi = place.frame.to_local(point.direction);
-                let (value, pdf) = self.scattering.importance(wi, wo, place.h, leg.carried);
+                let (value, pdf) = self.scattering.importance(wi, o);
                 let cosine = across(wi);
                 let factor =
                     lamp.normalized_radiance() * cosine / (point.pdf + pdf) / points as f64;
@@ -290,11 +288,11 @@ impl Stage<'_> {
             if !self.sees_light(ray, &skip, place.runs_within()) {
                 continue;
             }
-            let evaluation = self.scattering.evaluate(wi, wo, place.h);
+            let evaluation = self.scattering.evaluate(wi, o.wo, o.h);
             let event = Event {
                 wi,
-                wo,
-                h: place.h,
+                wo: o.wo,
+                h: o.h,
                 factor: factor * sum / (worth * odds),
                 evaluation: &evaluation,
             };

@@ -24,8 +24,8 @@
 
 use super::piecewise::Piecewise;
 use super::{
-    CHANNELS, Evaluation, MAX_ROWS, Model, ParameterInfo, Parameters, Passage, Sampled, Scattering,
-    Unit,
+    CHANNELS, Evaluation, Kept, MAX_ROWS, Model, Outgoing, ParameterInfo, Parameters, Passage,
+    Sampled, Scattering, Unit,
 };
 use crate::base::{Error, Result};
 use crate::math::Random;
@@ -192,30 +192,47 @@ impl Scattering for ChiangScattering {
         self.evaluate_directions(&Direction::new(wi), &o)
     }
 
-    fn importance(
-        &self,
-        wi: DVec3,
-        wo: DVec3,
-        h: f64,
-        carried: [f64; CHANNELS],
-    ) -> ([f64; CHANNELS], f64) {
+    fn outgoing(&self, wo: DVec3, h: f64, carried: [f64; CHANNELS]) -> Outgoing {
+        Outgoing {
+            kept: Kept::Chiang(CameraSide::new(wo, h, &self.absorption, carried)),
+            ..Outgoing::new(wo, h, carried)
+        }
+    }
+
+    fn importance(&self, wi: DVec3, o: &Outgoing) -> ([f64; CHANNELS], f64) {
         let i = Direction::new(wi);
-        let o = CameraSide::new(wo, h, &self.absorption, carried);
-        let (sums, pdf) = Self::sums(&o, &self.lobes(&i, &o));
+        let (sums, pdf) = self.with_side(o, |o| Self::sums(o, &self.lobes(&i, o)));
         let inverse_cos = 1.0 / i.cos_theta;
         (sums.map(|s| s * inverse_cos), pdf)
     }
 
-    /// A lobe by the root mean square of what the channels carry of A_p; then both of its factors exactly (d'Eon et al. 2011 for M_p), so that the density is
-    /// `sum_p share_p M_p N_p`.
-    fn sample(
-        &self,
-        wo: DVec3,
-        h: f64,
-        carried: [f64; CHANNELS],
-        random: &mut Random,
-    ) -> Option<Sampled> {
-        let o = CameraSide::new(wo, h, &self.absorption, carried);
+    /// A lobe by the root mean square of what the channels carry of A_p; then both of its factors exactly (d'Eon et al. 2011
+    /// for M_p), so that the density is `sum_p share_p M_p N_p`.
+    fn sample(&self, o: &Outgoing, random: &mut Random) -> Option<Sampled> {
+        self.with_side(o, |o| Some(self.sample_from(o, random)))
+    }
+
+    fn passage(&self) -> Passage {
+        Passage::Straight
+    }
+
+    fn narrowest(&self) -> f64 {
+        let azimuthal = self.azimuthal.s * PI / 3.0_f64.sqrt();
+        let longitudinal = self.longitudinal.variance[1].sqrt();
+        azimuthal.min(longitudinal).min(10_f64.to_radians())
+    }
+}
+
+impl ChiangScattering {
+    /// What was computed of a camera side ahead, or now.
+    fn with_side<T>(&self, o: &Outgoing, f: impl FnOnce(&CameraSide) -> T) -> T {
+        match &o.kept {
+            Kept::Chiang(side) => f(side),
+            _ => f(&CameraSide::new(o.wo, o.h, &self.absorption, o.carried)),
+        }
+    }
+
+    fn sample_from(&self, o: &CameraSide, random: &mut Random) -> Sampled {
         let mut left = random.uniform();
         let p = o.share[..LOBES - 1].iter().position(|share| {
             left -= share;
@@ -237,22 +254,12 @@ impl Scattering for ChiangScattering {
             az_y,
             az_z,
         };
-        let (sums, pdf) = Self::sums(&o, &self.lobes(&i, &o));
-        Some(Sampled {
+        let (sums, pdf) = Self::sums(o, &self.lobes(&i, o));
+        Sampled {
             wi: DVec3::new(sin_theta, cos_theta * az_y, cos_theta * az_z),
             weight: sums.map(|s| s / pdf),
             pdf,
-        })
-    }
-
-    fn passage(&self) -> Passage {
-        Passage::Straight
-    }
-
-    fn narrowest(&self) -> f64 {
-        let azimuthal = self.azimuthal.s * PI / 3.0_f64.sqrt();
-        let longitudinal = self.longitudinal.variance[1].sqrt();
-        azimuthal.min(longitudinal).min(10_f64.to_radians())
+        }
     }
 }
 
@@ -272,6 +279,7 @@ struct Factor {
 }
 
 /// A direction in the fiber frame as the formulas need it.
+#[derive(Debug, Clone, Copy)]
 struct Direction {
     sin_theta: f64,
     cos_theta: f64,
@@ -301,7 +309,8 @@ impl Direction {
 }
 
 /// What the direction toward the camera and the place where it meets the fiber decide.
-struct CameraSide {
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CameraSide {
     direction: Direction,
     gamma_o: f64,
     gamma_t: f64,

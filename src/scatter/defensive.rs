@@ -1,7 +1,7 @@
 //! A scattering function sampled from a mixture with a wider one (Hesterberg 1995), so that its paths can be used again at
 //! parameters with wider lobes.
 
-use super::{BatchEvaluate, CHANNELS, Evaluation, Passage, Sampled, Scattering};
+use super::{BatchEvaluate, CHANNELS, Evaluation, Outgoing, Passage, Sampled, Scattering};
 use crate::math::Random;
 use glam::DVec3;
 
@@ -22,31 +22,19 @@ impl Scattering for Defensive<'_> {
         self.at.evaluate(wi, wo, h)
     }
 
-    fn importance(
-        &self,
-        wi: DVec3,
-        wo: DVec3,
-        h: f64,
-        carried: [f64; CHANNELS],
-    ) -> ([f64; CHANNELS], f64) {
-        let (at, at_pdf) = self.at.importance(wi, wo, h, carried);
-        let (wide, wide_pdf) = self.wide.importance(wi, wo, h, carried);
+    fn importance(&self, wi: DVec3, o: &Outgoing) -> ([f64; CHANNELS], f64) {
+        let (at, at_pdf) = self.at.importance(wi, o);
+        let (wide, wide_pdf) = self.wide.importance(wi, o);
         let mixed = |at: f64, wide: f64| (1.0 - self.share) * at + self.share * wide;
         let value = std::array::from_fn(|c| mixed(at[c], wide[c]));
         (value, mixed(at_pdf, wide_pdf))
     }
 
-    fn sample(
-        &self,
-        wo: DVec3,
-        h: f64,
-        carried: [f64; CHANNELS],
-        random: &mut Random,
-    ) -> Option<Sampled> {
+    fn sample(&self, o: &Outgoing, random: &mut Random) -> Option<Sampled> {
         let from_wide = random.uniform() < self.share;
         let drawn = if from_wide { self.wide } else { self.at };
-        let wi = drawn.sample(wo, h, carried, random)?.wi;
-        let (value, pdf) = self.importance(wi, wo, h, carried);
+        let wi = drawn.sample(o, random)?.wi;
+        let (value, pdf) = self.importance(wi, o);
         let factor = wi.y.hypot(wi.z) / pdf;
         Some(Sampled {
             wi,
@@ -55,8 +43,8 @@ impl Scattering for Defensive<'_> {
         })
     }
 
-    fn light_points(&self, wi: DVec3, wo: DVec3, half_angle: f64) -> usize {
-        self.at.light_points(wi, wo, half_angle)
+    fn light_points(&self, wi: DVec3, o: &Outgoing, half_angle: f64) -> usize {
+        self.at.light_points(wi, o, half_angle)
     }
 
     fn passage(&self) -> Passage {

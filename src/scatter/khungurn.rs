@@ -21,9 +21,10 @@
 mod batch;
 
 use super::normalizer::NormalizerTable;
+use super::piecewise::Piecewise;
 use super::{
-    BatchEvaluate, CHANNELS, Evaluation, MAX_ROWS, Model, ParameterInfo, Parameters, Sampled,
-    Scattering, Unit,
+    BatchEvaluate, CHANNELS, Evaluation, Kept, MAX_ROWS, Model, Outgoing, ParameterInfo,
+    Parameters, Sampled, Scattering, Unit,
 };
 use crate::base::{Error, Result};
 use crate::math::Random;
@@ -110,7 +111,12 @@ pub struct KhungurnScattering {
     r: LongitudinalLobe,
     tt: LongitudinalLobe,
     azimuthal: VonMises,
+    /// `2 atan(t)` on [0, 1], four times as fast as the library's and good to 4e-16.
+    angle: Piecewise<1>,
 }
+
+/// Pieces of the table of `2 atan(t)`.
+const ANGLE_PIECES: usize = 16;
 
 impl KhungurnScattering {
     /// Precomputes what depends on the parameters alone: 0.1 to 0.4 ms within Table II, growing as the inverse of the widths.
@@ -134,7 +140,37 @@ impl KhungurnScattering {
             r: LongitudinalLobe::new(parameters.scalar("beta_r")),
             tt: LongitudinalLobe::new(parameters.scalar("beta_tt")),
             azimuthal: VonMises::new(parameters.scalar("gamma_tt")),
+            angle: Piecewise::new(ANGLE_PIECES, |t| [2.0 * t.atan()]),
         })
+    }
+
+    fn camera_side(&self, wo: DVec3, carried: [f64; CHANNELS]) -> CameraSide {
+        let angles = FiberAngles::new(wo);
+        let share_of_r = self.share_of_r(&angles, carried);
+        CameraSide {
+            share_of_r,
+            theta: self.theta(&angles),
+            per_gauss: [
+                share_of_r / self.r.table.mass(angles.t),
+                (1.0 - share_of_r) / self.tt.table.mass(angles.t),
+            ],
+            angles,
+        }
+    }
+
+    /// What was computed of a camera side ahead, or now.
+    #[inline(always)]
+    fn with_side<T>(&self, o: &Outgoing, f: impl FnOnce(&CameraSide) -> T) -> T {
+        match &o.kept {
+            Kept::Khungurn(side) => f(side),
+            _ => f(&self.camera_side(o.wo, o.carried)),
+        }
+    }
+
+    /// The longitudinal angle.
+    #[inline]
+    fn theta(&self, w: &FiberAngles) -> f64 {
+        self.angle.at(w.t.abs())[0].copysign(w.t)
     }
 
     /// The probability that [`Scattering::sample`] draws from the R lobe: by the two lobes' strengths at
@@ -153,12 +189,8 @@ impl KhungurnScattering {
         share.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE)
     }
 
-    /// The lobes at a pair of directions, each with strength 1.
-    fn lobes(&self, i: &FiberAngles, o: &FiberAngles) -> Lobes {
-        self.lobes_at(i, o, 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t))
-    }
-
-    /// The lobes at a pair of directions whose longitudinal angles add up to `delta`.
+    /// The lobes at a pair of directions whose longitudinal angles add up to `delta`, each with strength 1.
+    #[inline]
     fn lobes_at(&self, i: &FiberAngles, o: &FiberAngles, delta: f64) -> Lobes {
         let square = delta * delta;
         // R = gbar/(2 pi), TT = gbar N. One exponential each.
@@ -194,11 +226,19 @@ impl KhungurnScattering {
 
     /// The mixture that `sample` draws from, as a density of (theta, phi) rather than of solid angle: it stays finite at
     /// the poles.
-    fn mixture(&self, lobes: &Lobes, o: &FiberAngles, carried: [f64; CHANNELS]) -> f64 {
-        let share = self.share_of_r(o, carried);
-        share * lobes.gauss_r / self.r.table.mass(o.t)
-            + (1.0 - share) * lobes.gauss_tt / self.tt.table.mass(o.t)
+    fn mixture(lobes: &Lobes, o: &CameraSide) -> f64 {
+        o.per_gauss[0] * lobes.gauss_r + o.per_gauss[1] * lobes.gauss_tt
     }
+}
+
+/// What the direction toward the camera and the channels decide.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CameraSide {
+    angles: FiberAngles,
+    theta: f64,
+    share_of_r: f64,
+    /// Of R and TT: the probability of the lobe over the share of its Gaussian inside [-pi/2, pi/2].
+    per_gauss: [f64; 2],
 }
 
 /// What value and derivatives share.
@@ -221,7 +261,8 @@ struct Lobes {
 
 impl Scattering for KhungurnScattering {
     fn evaluate(&self, wi: DVec3, wo: DVec3, _h: f64) -> Evaluation {
-        let lobes = self.lobes(&FiberAngles::new(wi), &FiberAngles::new(wo));
+        let (i, o) = (FiberAngles::new(wi), FiberAngles::new(wo));
+        let lobes = self.lobes_at(&i, &o, 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t));
         // d ln(lobe) / d width.
         let log_r = (2.0 * lobes.square * self.r.half_inverse_square - 1.0) * self.r.inverse_width
             - lobes.log_g_r_by_sigma;
@@ -246,26 +287,28 @@ impl Scattering for KhungurnScattering {
         }
     }
 
-    fn importance(
-        &self,
-        wi: DVec3,
-        wo: DVec3,
-        _h: f64,
-        carried: [f64; CHANNELS],
-    ) -> ([f64; CHANNELS], f64) {
-        let (i, o) = (FiberAngles::new(wi), FiberAngles::new(wo));
-        let lobes = self.lobes(&i, &o);
-        let pdf = self.mixture(&lobes, &o, carried) / i.cos_theta;
-        (Self::value(&lobes, self.followed), pdf)
+    fn outgoing(&self, wo: DVec3, h: f64, carried: [f64; CHANNELS]) -> Outgoing {
+        Outgoing {
+            kept: Kept::Khungurn(self.camera_side(wo, carried)),
+            ..Outgoing::new(wo, h, carried)
+        }
+    }
+
+    fn importance(&self, wi: DVec3, o: &Outgoing) -> ([f64; CHANNELS], f64) {
+        let i = FiberAngles::new(wi);
+        self.with_side(o, |o| {
+            let lobes = self.lobes_at(&i, &o.angles, self.theta(&i) + o.theta);
+            let pdf = Self::mixture(&lobes, o) / i.cos_theta;
+            (Self::value(&lobes, self.followed), pdf)
+        })
     }
 
     /// One for each width of the R lobe within the light's angular radius, where that lobe matters.
-    fn light_points(&self, wi: DVec3, wo: DVec3, half_angle: f64) -> usize {
+    fn light_points(&self, wi: DVec3, o: &Outgoing, half_angle: f64) -> usize {
         if half_angle < 2.0 * self.r.width {
             return 1;
         }
-        let (i, o) = (FiberAngles::new(wi), FiberAngles::new(wo));
-        let off = 2.0 * (i.t + o.t).atan2(1.0 - i.t * o.t);
+        let off = self.with_side(o, |o| self.theta(&FiberAngles::new(wi)) + o.theta);
         if off.abs() > half_angle + 4.0 * self.r.width {
             return 1;
         }
@@ -274,18 +317,30 @@ impl Scattering for KhungurnScattering {
 
     /// One of the lobes is chosen; theta_i is normal about -theta_o, truncated to [-pi/2, pi/2]; the azimuth is uniform for
     /// R and von Mises about phi_o + pi for TT. The density is that of the mixture.
-    fn sample(
-        &self,
-        wo: DVec3,
-        _h: f64,
-        carried: [f64; CHANNELS],
-        random: &mut Random,
-    ) -> Option<Sampled> {
-        let o = FiberAngles::new(wo);
-        let from_r = random.uniform() < self.share_of_r(&o, carried);
+    fn sample(&self, o: &Outgoing, random: &mut Random) -> Option<Sampled> {
+        self.with_side(o, |o| Some(self.sample_from(o, random)))
+    }
+
+    fn batch(&self) -> Option<Box<dyn BatchEvaluate>> {
+        Some(Box::new(batch::KhungurnBatch::new(self)))
+    }
+
+    fn narrowest(&self) -> f64 {
+        let azimuthal = self.azimuthal.k.powf(-0.5);
+        self.r
+            .width
+            .min(self.tt.width)
+            .min(azimuthal)
+            .min(10_f64.to_radians())
+    }
+}
+
+impl KhungurnScattering {
+    fn sample_from(&self, side: &CameraSide, random: &mut Random) -> Sampled {
+        let o = &side.angles;
+        let from_r = random.uniform() < side.share_of_r;
         let lobe = if from_r { &self.r } else { &self.tt };
-        let theta_o = 2.0 * o.t.atan();
-        let theta = lobe.sample(-theta_o, random);
+        let theta = lobe.sample(-side.theta, random);
         let (sin_theta, cos_theta) = theta.sin_cos();
         // Azimuth relative to phi_o + pi, as cosine and sine.
         let (cos_az, sin_az) = if from_r {
@@ -305,32 +360,20 @@ impl Scattering for KhungurnScattering {
             az_y,
             az_z,
         };
-        let lobes = self.lobes_at(&i, &o, theta + theta_o);
-        let density = self.mixture(&lobes, &o, carried);
+        let lobes = self.lobes_at(&i, o, theta + side.theta);
+        let density = Self::mixture(&lobes, side);
         // S cos(theta_i) / pdf = S cos^2(theta_i) / density: no division by a cosine.
         let factor = cos_theta * cos_theta / density;
-        Some(Sampled {
+        Sampled {
             wi: DVec3::new(sin_theta, cos_theta * az_y, cos_theta * az_z),
             weight: Self::value(&lobes, self.followed).map(|s| s * factor),
             pdf: density / cos_theta,
-        })
-    }
-
-    fn batch(&self) -> Option<Box<dyn BatchEvaluate>> {
-        Some(Box::new(batch::KhungurnBatch::new(self)))
-    }
-
-    fn narrowest(&self) -> f64 {
-        let azimuthal = self.azimuthal.k.powf(-0.5);
-        self.r
-            .width
-            .min(self.tt.width)
-            .min(azimuthal)
-            .min(10_f64.to_radians())
+        }
     }
 }
 
 /// A direction in the fiber frame as the formulas need it.
+#[derive(Debug, Clone, Copy)]
 struct FiberAngles {
     sin_theta: f64,
     cos_theta: f64,

@@ -53,6 +53,40 @@ pub struct Sampled {
     pub pdf: f64,
 }
 
+/// The camera side of an event, made by [`Scattering::outgoing`] to look at many directions toward the light. It belongs to the
+/// function that made it.
+#[derive(Debug, Clone, Copy)]
+pub struct Outgoing {
+    /// Toward the camera side (unit, fiber frame).
+    pub wo: DVec3,
+    /// Where across the fiber the camera side meets it, see [`Scattering`].
+    pub h: f64,
+    /// How much each channel of the path counts, in any common unit: sampling for a channel that the path has lost would let
+    /// the weights of the others grow from event to event.
+    pub carried: [f64; CHANNELS],
+    kept: Kept,
+}
+
+/// What a model keeps of a camera side.
+#[derive(Debug, Clone, Copy)]
+enum Kept {
+    Nothing,
+    Khungurn(khungurn::CameraSide),
+    Chiang(chiang::CameraSide),
+}
+
+impl Outgoing {
+    /// Nothing computed ahead: any function takes it.
+    pub fn new(wo: DVec3, h: f64, carried: [f64; CHANNELS]) -> Self {
+        Self {
+            wo,
+            h,
+            carried,
+            kept: Kept::Nothing,
+        }
+    }
+}
+
 /// Where a path that meets a fiber leaves it again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Passage {
@@ -72,30 +106,21 @@ pub trait Scattering: Send + Sync {
     /// Scattering function and derivatives.
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation;
 
+    /// Computes ahead what [`Scattering::importance`], [`Scattering::sample`] and [`Scattering::light_points`] need of the
+    /// camera side.
+    fn outgoing(&self, wo: DVec3, h: f64, carried: [f64; CHANNELS]) -> Outgoing {
+        Outgoing::new(wo, h, carried)
+    }
+
     /// What is worth following, and the density per solid angle with which [`Scattering::sample`] chooses `wi`, 1/sr: the
     /// scattering function, but not zero where only its derivatives live, as at a color of zero.
-    fn importance(
-        &self,
-        wi: DVec3,
-        wo: DVec3,
-        h: f64,
-        carried: [f64; CHANNELS],
-    ) -> ([f64; CHANNELS], f64);
+    fn importance(&self, wi: DVec3, o: &Outgoing) -> ([f64; CHANNELS], f64);
 
     /// Draws `wi` given `wo`, in proportion to roughly `S cos(theta_i)`. `None` when no light can come back.
-    ///
-    /// `carried` says how much each channel of the path counts, in any common unit: sampling for a channel that the path
-    /// has lost would let the weights of the others grow from event to event.
-    fn sample(
-        &self,
-        wo: DVec3,
-        h: f64,
-        carried: [f64; CHANNELS],
-        random: &mut Random,
-    ) -> Option<Sampled>;
+    fn sample(&self, o: &Outgoing, random: &mut Random) -> Option<Sampled>;
 
-    /// How many points on a light of angular radius `half_angle` seen toward `wi` make its integral smooth.
-    fn light_points(&self, _wi: DVec3, _wo: DVec3, _half_angle: f64) -> usize {
+    /// How many points on a light of angular radius `half_angle` seen toward about `wi` make its integral smooth.
+    fn light_points(&self, _wi: DVec3, _o: &Outgoing, _half_angle: f64) -> usize {
         1
     }
 

@@ -349,7 +349,7 @@ mod tests {
         let wo = DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
         let event = |random: &mut Random, use_it: &mut dyn FnMut(Event<'_>)| {
             let factor = 0.3 + random.uniform();
-            let Some(sampled) = at.sample(wo, 0.0, [1.0; CHANNELS], random) else {
+            let Some(sampled) = at.sample(&at.outgoing(wo, 0.0, [1.0; CHANNELS]), random) else {
                 return;
             };
             let evaluation = at.evaluate(sampled.wi, wo, 0.0);

@@ -337,7 +337,11 @@ mod tests {
             let wo = DVec3::new(u(), u(), u()).normalize();
             let wi = match expected.len() % 4 {
                 0 => DVec3::new(u(), u(), u()).normalize(),
-                _ => s.sample(wo, 0.0, [1.0; CHANNELS], &mut random).unwrap().wi,
+                _ => {
+                    s.sample(&s.outgoing(wo, 0.0, [1.0; CHANNELS]), &mut random)
+                        .unwrap()
+                        .wi
+                }
             };
             let footprint = kernel.footprint(wi, wo, 0.0);
             (0..3).for_each(|k| columns[k].push(footprint[k]));
@@ -409,7 +413,10 @@ mod tests {
         for _ in 0..200 {
             let mut u = || 2.0 * random.uniform() - 1.0;
             let wo = DVec3::new(u(), u(), u()).normalize();
-            let wi = s.sample(wo, 0.0, [1.0; CHANNELS], &mut random).unwrap().wi;
+            let wi = s
+                .sample(&s.outgoing(wo, 0.0, [1.0; CHANNELS]), &mut random)
+                .unwrap()
+                .wi;
             let footprint = kernel.footprint(wi, wo, 0.0);
             let columns: Vec<&[f32]> = footprint.iter().map(std::slice::from_ref).collect();
             let mut out = BatchValues::default();
