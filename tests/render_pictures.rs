@@ -215,7 +215,14 @@ fn what_cannot_be_pictured_is_refused_by_the_library() {
         configurations: &grazing,
         ..good.clone()
     };
-    assert!(error(&inside, &Unwatched).report().contains("in the cloth"));
+    assert!(error(&inside, &Unwatched).report().contains("camera is"));
+    let level = [Configuration::from_degrees(3, [89.99, 0.0], [10.0, 0.0], 0.0).unwrap()];
+    let in_the_cloth = PictureRequest {
+        configurations: &level,
+        ..good.clone()
+    };
+    let report = error(&in_the_cloth, &Unwatched).report();
+    assert!(report.contains("light's center"), "{report}");
     for resolution in [[0, 3], [3, 0], [usize::MAX, 2], [1 << 20, 1 << 20]] {
         let request = PictureRequest {
             resolution,

@@ -155,12 +155,23 @@ impl FiberScene {
             .collect()
     }
 
-    /// Refuses poses whose camera stands inside the cloth.
+    /// Refuses poses whose light or camera stands inside the cloth.
     pub(super) fn check_poses(&self, configurations: &[Configuration]) -> Result<()> {
+        let [bottom, top] = self.geometry.z_range();
+        for c in configurations {
+            let height = self.options.light.distance * c.light.theta.cos();
+            if (bottom..=top).contains(&height) {
+                return Err(Error::new(format!(
+                    "configuration {}: the light's center is {height:.3} mm above the sample plane, in the cloth, which \
+                     reaches from {bottom:.3} to {top:.3} mm",
+                    c.id
+                ))
+                .with_hint("a larger light distance, or a light that is not in the sample plane"));
+            }
+        }
         let View::Pinhole { distance } = self.options.view else {
             return Ok(());
         };
-        let top = self.geometry.z_range()[1];
         for c in configurations {
             let height = distance * c.camera.theta.cos();
             if height <= top {

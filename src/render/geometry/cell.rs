@@ -7,6 +7,10 @@ use crate::base::{Error, Result};
 use crate::fabric::{FiberTile, Segment};
 use glam::DVec3;
 
+/// Farthest from the plane z = 0 that a segment may lie, millimeters: a cloth's thickness is small beside the lamp's distance, and
+/// `f32` keeps it to less than 0.01 micrometer.
+const HIGHEST: f64 = 100.0;
+
 /// Refuses tiles and segments that cannot be rendered.
 pub(super) fn check(tile: &FiberTile) -> Result<()> {
     if !tile.size.iter().all(|s| (1e-3..=1e3).contains(s)) {
@@ -25,6 +29,13 @@ pub(super) fn check(tile: &FiberTile) -> Result<()> {
         if !(s.start.is_finite() && s.end.is_finite() && (1e-6..=10.0).contains(&s.radius)) {
             return Err(Error::new(format!("segment {i} is not usable: {s:?}"))
                 .with_hint("points must be finite and radii between 1e-6 and 10 mm"));
+        }
+        let heights = [s.start.z, s.end.z];
+        if let Some(z) = heights.into_iter().find(|z| z.abs() > HIGHEST) {
+            return Err(Error::new(format!(
+                "segment {i} is at z = {z} mm: expected -{HIGHEST} to {HIGHEST} mm"
+            ))
+            .with_hint("the sample lies about z = 0, and lengths are millimeters"));
         }
         let extent = (s.end - s.start).abs() + 2.0 * s.radius;
         let spanned = (extent.x / tile.size[0] + 2.0) * (extent.y / tile.size[1] + 2.0);

@@ -504,6 +504,9 @@ fn unusable_tiles_are_refused() {
     let mut tile = soup(1, 1, 0.025);
     tile.segments[0].radius = f64::NAN;
     assert!(refused(tile).contains("segment 0"));
+    let mut tile = soup(1, 1, 0.025);
+    tile.segments[0].end.z = 2e4;
+    assert!(refused(tile).contains("z = 20000 mm"));
     assert!(
         refused(FiberTile {
             size: [f64::NAN, 1.0],
