@@ -1,0 +1,383 @@
+//! Time from the published start to a given residual, for each fitting method on the demo fabrics with noise-free truth.
+//!
+//! `cargo bench --bench fit_speed [-- --quick] [--json] [--only FABRIC] [--method M] [--seeds N] [--time S] [--make-references]`
+//!
+//! The measurements are converged renders at published parameters (`benches/references/`, weighted rms error about 0.2 %, made
+//! once by `--make-references`; gabardine's is the truth of the recorded session in `mocks/`). Each run fits them with its own
+//! seed. Its *true residual* is `sqrt(max(0, paired estimate) / 48)` of a fresh render pair at the fitted parameters against the
+//! reference, with a standard error. Between, the residual at every iterate is read from paths recorded at the truth, the same
+//! for the iterate and the truth, so that their noise cancels; where these paths may not be trusted a small fresh pair says it
+//! to a few percent. Seconds count rendering of the search and, in `total`, of the final check too.
+//!
+//! `--quick`: one fabric, two seeds, 30 s each. Times depend on the machine and its load, which is printed.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    missing_docs
+)]
+
+use goniofit::base::Unwatched;
+use goniofit::fit::{Budget, FitResult, Method, Objective, Options, RenderPair, fit, rms_of};
+use goniofit::render::{
+    Effort, Estimate, FiberScene, FiberSceneOptions, RecordOptions, Recording, Request, Scene,
+    TRUST_THRESHOLD, relative_error_weight, weighted_rms,
+};
+use goniofit::scatter::{self, Parameters};
+use goniofit::session::{Configuration, Intensity, Measurements, Plan};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Fabric and fibers.
+const FABRICS: [(&str, &str); 4] = [
+    ("gabardine", "gabardine"),
+    ("fleece", "fleece"),
+    ("silk_satin", "silk"),
+    ("plain_cotton", "cotton"),
+];
+
+/// Residuals whose time is asked for, percent.
+const TARGETS: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
+
+/// Weighted rms error of a reference, and of each render of the final pair.
+const REFERENCE: f64 = 0.002;
+const JUDGE: f64 = 0.01;
+
+/// Where the weight of dark configurations stops growing (Khungurn 2015 section 5.3).
+const TAU: f64 = 0.02;
+
+/// One target of one run.
+#[derive(Serialize, Clone)]
+struct Row {
+    method: String,
+    fabric: String,
+    seed: u64,
+    target_residual: f64,
+    /// Seconds of rendering until the search was at the target for good; none when it never was.
+    wall_s: Option<f64>,
+    cpu_s: Option<f64>,
+    /// Of the result, percent, with its standard error.
+    true_residual: f64,
+    true_residual_se: f64,
+    /// Whole run.
+    total_wall_s: f64,
+    total_cpu_s: f64,
+    /// Largest relative error of a color that matters, and of the widths beta_tt and gamma_tt, percent.
+    color_error: f64,
+    width_error: f64,
+    load: f64,
+}
+
+/// Converged means, as a session's `truth.json` has them.
+#[derive(Serialize, Deserialize)]
+struct Reference {
+    configs: Vec<Converged>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Converged {
+    config: u32,
+    mean: [f64; 3],
+    se: [f64; 3],
+}
+
+struct Arguments(Vec<String>);
+
+impl Arguments {
+    fn has(&self, flag: &str) -> bool {
+        self.0.iter().any(|a| a == flag)
+    }
+    fn value(&self, flag: &str) -> Option<&str> {
+        let at = self.0.iter().position(|a| a == flag)?;
+        self.0.get(at + 1).map(String::as_str)
+    }
+}
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn load() -> f64 {
+    let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    text.split(' ')
+        .next()
+        .and_then(|x| x.parse().ok())
+        .unwrap_or(0.0)
+}
+
+fn main() {
+    let arguments = Arguments(std::env::args().collect());
+    let quick = arguments.has("--quick");
+    let seeds: u64 =
+        (arguments.value("--seeds")).map_or(if quick { 2 } else { 10 }, |n| n.parse().unwrap());
+    let time: f64 = (arguments.value("--time")).map_or(30.0, |t| t.parse().unwrap());
+    let only = arguments.value("--only").or(quick.then_some("gabardine"));
+    for (fabric, fibers) in FABRICS {
+        if only.is_some_and(|o| o != fabric) {
+            continue;
+        }
+        let case = Case::new(fabric, fibers);
+        if arguments.has("--make-references") {
+            case.make_reference();
+            continue;
+        }
+        let judge = Judge::new(&case);
+        for method in Method::ALL {
+            if arguments
+                .value("--method")
+                .is_some_and(|m| m != method.name())
+            {
+                continue;
+            }
+            for seed in 1..=seeds {
+                for row in judge.run(method, seed, time) {
+                    report(&row, arguments.has("--json"));
+                }
+            }
+        }
+    }
+}
+
+fn report(row: &Row, json: bool) {
+    if json {
+        println!("{}", serde_json::to_string(row).unwrap());
+        return;
+    }
+    let seconds = |s: Option<f64>| s.map_or("-".to_owned(), |s| format!("{s:.1}"));
+    println!(
+        "{:12} {:12} seed {:2} to {:4} %: {:>6} s, {:>6} CPU s; end {:.2} +- {:.2} % in {:.1} s ({:.1} CPU s), colors {:.1} %, widths {:.1} %, load {:.1}",
+        row.fabric,
+        row.method,
+        row.seed,
+        row.target_residual,
+        seconds(row.wall_s),
+        seconds(row.cpu_s),
+        row.true_residual,
+        row.true_residual_se,
+        row.total_wall_s,
+        row.total_cpu_s,
+        row.color_error,
+        row.width_error,
+        row.load
+    );
+}
+
+/// A fabric with known fibers.
+struct Case {
+    fabric: &'static str,
+    scene: FiberScene,
+    truth: Parameters,
+    configurations: Vec<Configuration>,
+}
+
+impl Case {
+    fn new(fabric: &'static str, fibers: &str) -> Self {
+        let path = root().join(format!("fabrics/{fabric}.toml"));
+        let tile = goniofit::fabric::load(&path).unwrap().tile;
+        let model = scatter::model("khungurn").unwrap();
+        let file = root().join(format!("fabrics/params/{fibers}.json"));
+        let values = serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
+        let plan = Plan::read(&root().join("rig_configs/plans/khungurn16.toml")).unwrap();
+        Self {
+            fabric,
+            scene: FiberScene::new(&tile, model, FiberSceneOptions::default()).unwrap(),
+            truth: Parameters::from_json(model, &values).unwrap(),
+            configurations: plan.configurations,
+        }
+    }
+
+    fn request(&self, effort: Effort, seed: u64) -> Request<'_> {
+        Request {
+            configurations: &self.configurations,
+            parameters: &self.truth,
+            effort,
+            seed,
+            stream: 0,
+        }
+    }
+
+    fn reference_path(&self) -> PathBuf {
+        match self.fabric {
+            "gabardine" => root().join("mocks/khungurn16_gabardine/truth.json"),
+            name => root().join(format!("benches/references/{name}.json")),
+        }
+    }
+
+    fn make_reference(&self) {
+        let path = self.reference_path();
+        if path.exists() {
+            eprintln!("{} is there", path.display());
+            return;
+        }
+        let request = self.request(Effort::Accuracy(REFERENCE), 77);
+        let estimates = self.scene.estimate(&request, &Unwatched).unwrap();
+        eprintln!(
+            "{}: weighted rms error {:.3} %, {:.0} CPU s",
+            self.fabric,
+            100.0 * estimates.weighted_rms_error(),
+            estimates.cpu_s
+        );
+        let converged = |e: &Estimate| Converged {
+            config: e.config,
+            mean: e.mean,
+            se: e.standard_error,
+        };
+        let reference = Reference {
+            configs: estimates.configurations.iter().map(converged).collect(),
+        };
+        std::fs::write(
+            path,
+            serde_json::to_string_pretty(&reference).unwrap() + "\n",
+        )
+        .unwrap();
+    }
+
+    fn measurements(&self) -> Measurements {
+        let path = self.reference_path();
+        let text = std::fs::read_to_string(&path)
+            .unwrap_or_else(|e| panic!("{}: {e}; --make-references makes it", path.display()));
+        let reference: Reference = serde_json::from_str(&text).unwrap();
+        let intensity = |(configuration, c): (&Configuration, &Converged)| {
+            assert_eq!(configuration.id, c.config);
+            Intensity {
+                configuration: *configuration,
+                mean: c.mean,
+                standard_error: c.se,
+            }
+        };
+        let pairs = self.configurations.iter().zip(&reference.configs);
+        Measurements {
+            intensities: pairs.map(intensity).collect(),
+        }
+    }
+}
+
+/// Knows the truth.
+struct Judge<'a> {
+    case: &'a Case,
+    measurements: Measurements,
+    objective: Objective,
+    recording: Recording,
+    at_truth: Vec<[f64; 3]>,
+}
+
+impl<'a> Judge<'a> {
+    fn new(case: &'a Case) -> Self {
+        let measurements = case.measurements();
+        let request = case.request(Effort::Paths(20_000), 78);
+        let recording = (case.scene)
+            .record(&request, &RecordOptions::default(), &Unwatched)
+            .unwrap();
+        let means = recording.means(&case.truth).unwrap().estimates;
+        Self {
+            case,
+            objective: Objective::new(&measurements).unwrap(),
+            measurements,
+            recording,
+            at_truth: means.configurations.iter().map(|e| e.mean).collect(),
+        }
+    }
+
+    /// Percent: by the paths recorded at the truth where they may be trusted, else by fresh ones, to a few percent.
+    fn residual(&self, parameters: &Parameters) -> f64 {
+        let recalled = self.recording.means(parameters).unwrap();
+        if !recalled.trust.holds(TRUST_THRESHOLD) {
+            return self.fresh_residual(parameters, &Effort::Paths(8192), 500).0;
+        }
+        let rows = (recalled.estimates.configurations.iter())
+            .zip(&self.at_truth)
+            .map(|(e, truth)| {
+                let error = std::array::from_fn(|c| e.mean[c] - truth[c]);
+                (relative_error_weight(*truth, TAU), error)
+            });
+        100.0 * weighted_rms(rows)
+    }
+
+    fn run(&self, method: Method, seed: u64, time: f64) -> Vec<Row> {
+        let budget = Budget {
+            time_s: Some(time),
+            ..Budget::default()
+        };
+        let options = Options {
+            method,
+            ..Options::new(seed, budget)
+        };
+        let load = load();
+        let result = fit(&self.case.scene, &self.measurements, &options, &Unwatched).unwrap();
+        let model = scatter::model(&result.model).unwrap();
+        let found = Parameters::from_json(model, &result.parameters).unwrap();
+        let (residual, se) = self.fresh_residual(&found, &Effort::Accuracy(JUDGE), 1000 + seed);
+        let curve = self.curve(&result, &found);
+        let [color_error, width_error] = self.errors(&found);
+        let row = |target: f64| {
+            // For good: no later iterate is worse than the target.
+            let last_bad = curve.iter().rposition(|c| c.2 > target);
+            let reached = match last_bad {
+                None => curve.first(),
+                Some(bad) => curve.get(bad + 1),
+            };
+            Row {
+                method: method.name().to_owned(),
+                fabric: self.case.fabric.to_owned(),
+                seed,
+                target_residual: target,
+                wall_s: reached.map(|c| c.0),
+                cpu_s: reached.map(|c| c.1),
+                true_residual: residual,
+                true_residual_se: se,
+                total_wall_s: result.time.wall_s,
+                total_cpu_s: result.time.cpu_s,
+                color_error,
+                width_error,
+                load,
+            }
+        };
+        TARGETS.into_iter().map(row).collect()
+    }
+
+    /// Wall seconds, CPU seconds and residual after each iteration.
+    fn curve(&self, result: &FitResult, end: &Parameters) -> Vec<(f64, f64, f64)> {
+        let model = scatter::model("khungurn").unwrap();
+        let later = result.history.iter().skip(1);
+        let places = later.map(|h| Parameters::from_json(model, &h.parameters).unwrap());
+        let cpu_per_wall = result.time.cpu_s / result.time.wall_s;
+        (result.history.iter().zip(places.chain([end.clone()])))
+            .map(|(h, p)| {
+                let residual = self.residual(&p);
+                (h.wall_s, h.wall_s * cpu_per_wall, residual)
+            })
+            .collect()
+    }
+
+    /// Percent, with its standard error, from a fresh pair.
+    fn fresh_residual(&self, parameters: &Parameters, effort: &Effort, seed: u64) -> (f64, f64) {
+        let pair = RenderPair::render(
+            &self.case.scene,
+            &self.case.configurations,
+            parameters,
+            effort,
+            seed,
+            0,
+            &Unwatched,
+        )
+        .unwrap();
+        let (rms, se) = rms_of(self.objective.paired(&pair), self.objective.n_numbers());
+        (100.0 * rms, 100.0 * se)
+    }
+
+    /// Largest relative errors of colors above 0.02 and of beta_tt and gamma_tt, percent.
+    fn errors(&self, found: &Parameters) -> [f64; 2] {
+        let truth = &self.case.truth;
+        let relative = |a: f64, b: f64| 100.0 * (a / b - 1.0).abs();
+        let colors = ["c_r", "c_tt"].into_iter().flat_map(|name| {
+            let pairs = found.channels(name).into_iter().zip(truth.channels(name));
+            pairs
+                .filter(|(_, t)| *t > 0.02)
+                .map(|(f, t)| relative(f, t))
+                .collect::<Vec<_>>()
+        });
+        let widths = ["beta_tt", "gamma_tt"];
+        let widths = widths.map(|name| relative(found.scalar(name), truth.scalar(name)));
+        [colors.fold(0.0, f64::max), widths[0].max(widths[1])]
+    }
+}
