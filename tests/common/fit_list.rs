@@ -58,6 +58,8 @@ impl Place {
     pub(crate) fn command(&self, out: &str, more: &[&str]) -> Command {
         let mut command = Command::new(cargo_bin("goniofit"));
         command.current_dir(self.0.path());
+        // Slow enough to be caught at work on any machine.
+        command.env("RAYON_NUM_THREADS", "2");
         command.args(["fit-all", "--list", "work.toml", "--out", out]);
         command.args(more);
         command
