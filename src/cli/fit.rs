@@ -2,11 +2,12 @@
 
 use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
-use crate::base::Result;
+use crate::base::{Result, Watch};
 use crate::fit::{Budget, FitResult, Method, Options, fit, refuse_existing};
+use crate::render::{FiberScene, FiberSceneOptions};
 use crate::report::{Provenance, page};
 use crate::scatter;
-use crate::session::{Measurements, SessionFolder, files};
+use crate::session::{Measurements, files};
 use std::path::{Path, PathBuf};
 
 /// Find the model parameters that reproduce measured intensities
@@ -21,36 +22,8 @@ Without a limit a fit ends after 60 seconds, or earlier when Monte Carlo noise a
 The same seed and --paths give the same numbers on any number of threads; a fit limited by time does not repeat exactly.
 Writes fit.json and report.html into --out. Exit code 1: finished, but not converged; fit.json says why.")]
 pub(crate) struct Arguments {
-    /// Measured intensities: measurements.csv or measurements.json
-    #[arg(long, value_name = "M.csv|M.json")]
-    measurements: PathBuf,
-    /// Fabric description (TOML)
-    #[arg(long, value_name = "F.toml")]
-    fabric: PathBuf,
-    /// Scattering model
-    #[arg(long, default_value = "khungurn")]
-    model: String,
-    /// How to search
-    #[arg(long, default_value = "gauss-newton")]
-    method: String,
-    /// Selects the random streams
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Where to begin: a parameter file or an earlier fit.json; the published defaults when left out
-    #[arg(long, value_name = "P.json")]
-    start: Option<PathBuf>,
-    /// Rendering time, e.g. 60s, 5m or 1h
-    #[arg(long, value_name = "T", value_parser = seconds)]
-    time: Option<f64>,
-    /// Camera paths in all: reproducible
-    #[arg(long, value_name = "N")]
-    paths: Option<u64>,
-    /// Monte Carlo part of the weighted rms error of the fitted intensities to reach, e.g. 1% or 0.01
-    #[arg(long, value_name = "A", value_parser = inputs::fraction)]
-    accuracy: Option<f64>,
-    /// Weighted rms residual above which the model is said not to explain the measurements
-    #[arg(long, value_name = "A", value_parser = inputs::fraction, default_value = "5%")]
-    tolerance: f64,
+    #[command(flatten)]
+    asked: Asked,
     /// Folder for fit.json and report.html
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -62,8 +35,49 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
+/// A fit as it is asked for, on a command line or in a list of work.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct Asked {
+    /// Measured intensities: measurements.csv or measurements.json
+    #[arg(long, value_name = "M.csv|M.json")]
+    pub(crate) measurements: PathBuf,
+    /// Fabric description (TOML)
+    #[arg(long, value_name = "F.toml")]
+    pub(crate) fabric: PathBuf,
+    /// Scattering model
+    #[arg(long, default_value = MODEL)]
+    pub(crate) model: String,
+    /// How to search
+    #[arg(long, default_value = METHOD)]
+    pub(crate) method: String,
+    /// Selects the random streams
+    #[arg(long, default_value_t = SEED)]
+    pub(crate) seed: u64,
+    /// Where to begin: a parameter file or an earlier fit.json; the published defaults when left out
+    #[arg(long, value_name = "P.json")]
+    pub(crate) start: Option<PathBuf>,
+    /// Rendering time, e.g. 60s, 5m or 1h
+    #[arg(long, value_name = "T", value_parser = seconds)]
+    pub(crate) time: Option<f64>,
+    /// Camera paths in all: reproducible
+    #[arg(long, value_name = "N")]
+    pub(crate) paths: Option<u64>,
+    /// Monte Carlo part of the weighted rms error of the fitted intensities to reach, e.g. 1% or 0.01
+    #[arg(long, value_name = "A", value_parser = inputs::fraction)]
+    pub(crate) accuracy: Option<f64>,
+    /// Weighted rms residual above which the model is said not to explain the measurements
+    #[arg(long, value_name = "A", value_parser = inputs::fraction, default_value = TOLERANCE)]
+    pub(crate) tolerance: f64,
+}
+
+/// What is fitted, and how, when nothing is said.
+pub(crate) const MODEL: &str = "khungurn";
+pub(crate) const METHOD: &str = "gauss-newton";
+pub(crate) const SEED: u64 = 1;
+pub(crate) const TOLERANCE: &str = "5%";
+
 /// Parses `60s`, `5m`, `1h` or plain seconds.
-fn seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     let scale = |suffix: &str| match suffix {
         "s" => 1.0,
         "m" => 60.0,
@@ -79,57 +93,131 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The limits asked for, completed: a minute when there are none, ten when only an accuracy is given.
-fn budget(a: &Arguments) -> Budget {
-    let time_s = match (a.time, a.paths, a.accuracy) {
-        (None, None, None) => Some(60.0),
-        (None, None, Some(_)) => Some(600.0),
-        (time, _, _) => time,
-    };
-    Budget {
-        time_s,
-        paths: a.paths,
-        accuracy: a.accuracy,
+/// A fit's inputs, read and checked.
+pub(crate) struct Ready {
+    scene: FiberScene,
+    measurements: Measurements,
+    options: Options,
+    synthetic: Option<bool>,
+}
+
+impl Asked {
+    /// The limits asked for, completed: a minute when there are none, ten when only an accuracy is given.
+    pub(crate) fn budget(&self) -> Budget {
+        let time_s = match (self.time, self.paths, self.accuracy) {
+            (None, None, None) => Some(60.0),
+            (None, None, Some(_)) => Some(600.0),
+            (time, _, _) => time,
+        };
+        Budget {
+            time_s,
+            paths: self.paths,
+            accuracy: self.accuracy,
+        }
+    }
+
+    /// Reads everything the fit needs and builds its scene.
+    pub(crate) fn read(&self) -> Result<Ready> {
+        let model = scatter::model(&self.model)?;
+        let start = self.start.as_deref();
+        let options = Options {
+            method: Method::named(&self.method)?,
+            start: start.map(|p| inputs::parameters(p, model)).transpose()?,
+            tolerance: self.tolerance,
+            ..Options::new(self.seed, self.budget())
+        };
+        let (measurements, stated) = Measurements::read_with_origin(&self.measurements)?;
+        let (surroundings, of_session) = self.surroundings()?;
+        Ok(Ready {
+            scene: render::fiber_scene(&self.fabric, model, surroundings)?,
+            measurements,
+            options,
+            // Either may say so: the file, wherever it lies, or the session it lies in.
+            synthetic: match (stated, of_session) {
+                (Some(a), Some(b)) => Some(a || b),
+                (a, b) => a.or(b),
+            },
+        })
+    }
+
+    /// The light and the sample square, those of the session the measurements lie in or beside, if any; and whether that
+    /// session is synthetic.
+    pub(crate) fn surroundings(&self) -> Result<(FiberSceneOptions, Option<bool>)> {
+        let folder = self.measurements.parent();
+        let folder = folder.filter(|p| !p.as_os_str().is_empty());
+        let session = inputs::session(folder.unwrap_or(Path::new("."))).ok();
+        let options = session.as_ref().map(render::surroundings_of).transpose()?;
+        let manifest = session.and_then(|s| s.manifest().ok());
+        Ok((options.unwrap_or_default(), manifest.map(|m| m.synthetic)))
+    }
+
+    /// The fit of what was read; `command` is the one that repeats it.
+    pub(crate) fn fit(
+        &self,
+        ready: &Ready,
+        command: String,
+        watch: &dyn Watch,
+    ) -> Result<FitResult> {
+        let result = fit(&ready.scene, &ready.measurements, &ready.options, watch)?;
+        Ok(FitResult {
+            fabric: self.fabric.display().to_string(),
+            measurements: self.measurements.display().to_string(),
+            synthetic: ready.synthetic,
+            command,
+            ..result
+        })
+    }
+
+    /// The command line that does this fit.
+    pub(crate) fn command(&self, out: &Path) -> String {
+        let mut words = vec!["fit".to_owned()];
+        let mut option = |name: &str, value: Option<String>| {
+            words.extend(
+                value
+                    .map(|v| [format!("--{name}"), v])
+                    .into_iter()
+                    .flatten(),
+            );
+        };
+        let path = |p: &Path| Some(p.display().to_string());
+        option("measurements", path(&self.measurements));
+        option("fabric", path(&self.fabric));
+        option("model", Some(self.model.clone()));
+        option("method", Some(self.method.clone()));
+        option("seed", Some(self.seed.to_string()));
+        option("start", self.start.as_deref().and_then(path));
+        option("time", self.time.map(|t| format!("{t}s")));
+        option("paths", self.paths.map(|n| n.to_string()));
+        option("accuracy", self.accuracy.map(|a| a.to_string()));
+        option("tolerance", Some(self.tolerance.to_string()));
+        option("out", path(out));
+        quoted(words.into_iter())
     }
 }
 
+/// Where a fit's files lie in its folder: `fit.json` and `report.html`.
+pub(crate) fn files_in(folder: &Path) -> [PathBuf; 2] {
+    ["fit.json", "report.html"].map(|name| folder.join(name))
+}
+
+/// Writes both files of a fit, each whole or not at all.
+pub(crate) fn write(result: &FitResult, folder: &Path, force: bool) -> Result<()> {
+    let [fit_path, page_path] = files_in(folder);
+    result.write(&fit_path, force)?;
+    files::write_atomic(&page_path, page(result, &Provenance::default()).as_bytes())
+}
+
 pub(crate) fn run(a: Arguments) -> Result<Outcome> {
-    let (fit_path, page_path) = (a.out.join("fit.json"), a.out.join("report.html"));
+    let [fit_path, page_path] = files_in(&a.out);
     if !a.force {
         refuse_existing(&fit_path)?;
     }
-    let model = scatter::model(&a.model)?;
-    let options = Options {
-        method: Method::named(&a.method)?,
-        start: a.start.as_deref().map(|p| start(p, model)).transpose()?,
-        tolerance: a.tolerance,
-        ..Options::new(a.seed, budget(&a))
-    };
-    let (measurements, synthetic) = Measurements::read_with_origin(&a.measurements)?;
+    let ready = a.asked.read()?;
     inputs::prepare_folder(&a.out)?;
     let terminal = Terminal::new()?;
-    // The light and the sample square are those of the session the measurements lie in or beside.
-    let session = session(&a.measurements);
-    let surroundings = session
-        .as_ref()
-        .map(render::surroundings_of)
-        .transpose()?
-        .unwrap_or_default();
-    let scene = render::fiber_scene(&a.fabric, model, surroundings)?;
-    let mut result = fit(&scene, &measurements, &options, &terminal)?;
+    let result = a.asked.fit(&ready, command_line(), &terminal)?;
     terminal.finish_stage();
-    result.fabric = a.fabric.display().to_string();
-    result.measurements = a.measurements.display().to_string();
-    // Either may say so: the file, wherever it lies, or the session it lies in.
-    let of_session = session.and_then(|s| s.manifest().ok()).map(|m| m.synthetic);
-    result.synthetic = match (synthetic, of_session) {
-        (Some(a), Some(b)) => Some(a || b),
-        (a, b) => a.or(b),
-    };
-    result.command = command_line();
-
-    result.write(&fit_path, a.force)?;
-    files::write_atomic(&page_path, page(&result, &Provenance::default()).as_bytes())?;
+    write(&result, &a.out, a.force)?;
     if a.json {
         data!("{}", result.to_json()?.trim_end());
     } else {
@@ -148,19 +236,14 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     })
 }
 
-/// Reads a parameter file, or the parameters of an earlier fit.
-fn start(path: &Path, model: &dyn scatter::Model) -> Result<scatter::Parameters> {
-    inputs::parameters(path, model)
-}
-
-/// The session the measurements lie in or beside, if any.
-fn session(measurements: &Path) -> Option<SessionFolder> {
-    let folder = measurements.parent().filter(|p| !p.as_os_str().is_empty());
-    inputs::session(folder.unwrap_or(Path::new("."))).ok()
-}
-
 /// The command as typed, quoted for a shell.
 pub(crate) fn command_line() -> String {
+    let words = std::env::args_os().skip(1);
+    quoted(words.map(|w| w.to_string_lossy().into_owned()))
+}
+
+/// A command line of this program, quoted for a shell.
+fn quoted(words: impl Iterator<Item = String>) -> String {
     let quoted = |word: String| {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,%+@".contains(c);
         if !word.is_empty() && word.chars().all(plain) {
@@ -169,11 +252,8 @@ pub(crate) fn command_line() -> String {
             format!("'{}'", word.replace('\'', "'\\''"))
         }
     };
-    let words = std::env::args_os()
-        .skip(1)
-        .map(|w| quoted(w.to_string_lossy().into_owned()));
     std::iter::once("goniofit".to_owned())
-        .chain(words)
+        .chain(words.map(quoted))
         .collect::<Vec<_>>()
         .join(" ")
 }

@@ -22,6 +22,7 @@ mod demo;
 mod doctor;
 mod fabric;
 mod fit;
+mod fit_all;
 mod measure;
 mod measured;
 mod plan;
@@ -71,6 +72,7 @@ enum Command {
     Doctor(doctor::Arguments),
     Measure(measure::Arguments),
     Fit(fit::Arguments),
+    FitAll(fit_all::Arguments),
     Render(render::Arguments),
     Scatter(scatter::Arguments),
     Fabric(fabric::Arguments),
@@ -105,6 +107,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Doctor(a) => doctor::run(a),
         Command::Measure(a) => measure::run(a),
         Command::Fit(a) => fit::run(a),
+        Command::FitAll(a) => fit_all::run(a),
         Command::Render(a) => render::run(a),
         Command::Scatter(a) => scatter::run(a),
         Command::Fabric(a) => fabric::run(a),

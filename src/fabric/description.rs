@@ -4,7 +4,7 @@ use super::woven::{Segmentation, System, Woven};
 use super::{Draft, Fabric, FabricReport, Format, import};
 use crate::base::{Context, Error, Result};
 use serde::Deserialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The file of a woven swatch.
 #[derive(Deserialize)]
@@ -122,6 +122,13 @@ pub fn load(path: &Path) -> Result<Fabric> {
         .context(|| format!("fabric {} cannot be read", path.display()))?;
     let folder = path.parent().unwrap_or(Path::new("."));
     read(&text, folder).context(what)
+}
+
+/// The file of fibers that a description points to; none where it describes a weave or cannot be read.
+pub fn fiber_file(path: &Path) -> Option<PathBuf> {
+    let table: toml::Table = toml::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    Some(folder.join(table.get("fibers")?.as_str()?))
 }
 
 /// Makes the fabric a description says; a fiber file it names is looked for in `folder`.

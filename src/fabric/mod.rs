@@ -22,7 +22,7 @@ mod yarn;
 pub use centerline::{CenterLine, Jet, L_MAX, L_MIN, float_profile};
 pub use curves::{Curve, curves, from_curves};
 pub use describe::{FabricReport, SystemReport};
-pub use description::load;
+pub use description::{fiber_file, load};
 pub use weave::{Draft, MAX_DRAFT};
 pub use woven::{Closing, MAX_SEGMENTS, Segmentation, System, Woven};
 pub use yarn::{RADIAL_EXPONENT, ZETA, base_angle, base_radius, migrated_radius, offset};

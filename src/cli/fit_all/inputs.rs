@@ -1,0 +1,81 @@
+//! What a fit was made from, so that a later run can tell whether it still is.
+
+use super::list::Task;
+use crate::fabric::fiber_file;
+use crate::session::files;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// Everything that a task's numbers depend on, apart from the program itself. A file that cannot be read has no hash.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Inputs {
+    /// SHA-256 of the measurements.
+    measurements: Option<String>,
+    /// SHA-256 of the fabric description.
+    fabric: Option<String>,
+    /// SHA-256 of the fibers it points to, if any.
+    fibers: Option<String>,
+    /// SHA-256 of the file with the start, if any.
+    start: Option<String>,
+    /// What the session around the measurements says of light and sample.
+    session: String,
+    /// Limits, method, tolerance.
+    options: serde_json::Value,
+}
+
+/// Hashes of files, each read once.
+#[derive(Default)]
+pub(super) struct Hashes(HashMap<PathBuf, Option<String>>);
+
+impl Hashes {
+    fn of(&mut self, path: &Path) -> Option<String> {
+        let hash = || Some(files::sha256(&std::fs::read(path).ok()?));
+        self.0.entry(path.to_owned()).or_insert_with(hash).clone()
+    }
+}
+
+impl Inputs {
+    /// The inputs of a task as they are now.
+    pub(super) fn of(task: &Task, hashes: &mut Hashes) -> Self {
+        let asked = &task.asked;
+        let budget = asked.budget();
+        let fibers = fiber_file(&asked.fabric);
+        Self {
+            measurements: hashes.of(&asked.measurements),
+            fabric: hashes.of(&asked.fabric),
+            fibers: fibers.and_then(|path| hashes.of(&path)),
+            start: asked.start.as_ref().and_then(|path| hashes.of(path)),
+            session: match asked.surroundings() {
+                Ok((o, synthetic)) => format!(
+                    "light {:?} mm at {:?} mm, square {:?} mm, synthetic {synthetic:?}",
+                    o.light.side, o.light.distance, o.sample_square
+                ),
+                Err(error) => error.to_string(),
+            },
+            options: serde_json::json!({
+                "method": asked.method,
+                "time_s": budget.time_s,
+                "paths": budget.paths,
+                "accuracy": budget.accuracy,
+                "tolerance": asked.tolerance,
+            }),
+        }
+    }
+
+    /// The names of what differs from `earlier`.
+    pub(super) fn changed_since(&self, earlier: &Self) -> Vec<&'static str> {
+        [
+            ("measurements", self.measurements != earlier.measurements),
+            ("fabric", self.fabric != earlier.fabric),
+            ("fibers", self.fibers != earlier.fibers),
+            ("start", self.start != earlier.start),
+            ("session", self.session != earlier.session),
+            ("options", self.options != earlier.options),
+        ]
+        .into_iter()
+        .filter_map(|(name, differs)| differs.then_some(name))
+        .collect()
+    }
+}
