@@ -40,7 +40,7 @@ def arguments():
     p.add_argument("--copies", type=int, help="tiles around the central one on every side; default: 3 mm of them")
     p.add_argument("--configs", type=int, nargs="*", help="only these configurations of the plan")
     p.add_argument("--json", action="store_true", help="one JSON object per line instead of a table")
-    p.add_argument("--rays", type=Path, metavar="OUT", help="measure ray throughput only; the rays are written here")
+    p.add_argument("--rays", action="store_true", help="measure ray throughput only, beside benches/ray_speed.rs")
     return p.parse_args()
 
 
@@ -379,25 +379,22 @@ def totals(a, rows):
 
 
 def ray_throughput(a, mitsuba):
-    """Closest and any hits along random bounce rays: from hits of rays from above, into random directions, as one wavefront. Written
-    as f32: origin, direction."""
+    """Closest and any hits along random bounce rays: from hits of rays from above, into random directions, as one wavefront."""
     mi = mitsuba.mi
     scene = mitsuba.scene((30.0, 180.0), direction(30.0, 0.0))
     n, random = 1 << 21, np.random.default_rng(a.seed)
     sphere = lambda: (lambda v: v / np.linalg.norm(v, axis=1)[:, None])(random.normal(size=(n, 3)))
-    size = np.append(mitsuba.size, 0.0)
-    origin = (random.random((n, 3)) - 0.5) * size + [0, 0, 5.0]
+    size = UNIT * mitsuba.size
+    origin = (random.random((n, 3)) - 0.5) * np.append(size, 0.0) + [0, 0, 0.5 * UNIT]
     d = sphere()
     d[:, 2] = -np.abs(d[:, 2]) - 0.5
     d /= np.linalg.norm(d, axis=1)[:, None]
     make = lambda o, d: mi.Ray3f(mi.Point3f(o.T.astype(np.float32)), mi.Vector3f(d.T.astype(np.float32)))
-    origin = origin - d * ((origin[:, 2] - 0.5) / d[:, 2])[:, None]
     hit = scene.ray_intersect_preliminary(make(origin, d), coherent=False)
     t = np.array(hit.t)
     start = origin + d * t[:, None]
-    keep = np.isfinite(t) & (np.abs(start[:, :2]) < mitsuba.size / 2).all(axis=1)
+    keep = np.isfinite(t) & (np.abs(start[:, :2]) < size / 2).all(axis=1)
     start, out = start[keep], sphere()[keep]
-    np.column_stack([start, out]).astype("<f4").tofile(a.rays)
     rays = make(start, out)
     import drjit as dr
 
