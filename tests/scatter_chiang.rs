@@ -271,6 +271,15 @@ impl Case {
 }
 
 #[test]
+fn wider_lobes_are_rougher_and_stay_in_the_domain() {
+    let parameters = chiang([0.8, 0.4, 0.7], 0.3, 0.9);
+    let wide = Chiang.widened(&parameters, 1.5);
+    assert_eq!(wide.channels("color"), parameters.channels("color"));
+    assert!((wide.scalar("beta_m") - 0.45).abs() < 1e-15);
+    assert!(Chiang.prepare(&wide).is_ok() && wide.scalar("beta_n") > 0.99);
+}
+
+#[test]
 fn samples_follow_the_density() {
     // With n = 1e5 and about 600 cells an error of the density of 8 % (rms over the cells, weighted by probability) is seen.
     let cases = cases();

@@ -80,6 +80,15 @@ impl Model for Chiang {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>> {
         Ok(Box::new(ChiangScattering::new(parameters)?))
     }
+
+    /// Both roughnesses are widths.
+    fn wider(&self, row: usize, value: f64, factor: f64) -> f64 {
+        if PARAMETERS[row].per_channel {
+            value
+        } else {
+            (factor * value).min(1.0)
+        }
+    }
 }
 
 /// R, TT, TRT and the rest.

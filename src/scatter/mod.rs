@@ -155,24 +155,20 @@ pub trait Model: Send + Sync {
     /// outside the published box but meaningful are accepted.
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>>;
 
-    /// `parameters` with lobes about `factor` times as wide, for [`Defensive`] sampling: all angles times `factor` unless
-    /// the model knows better.
+    /// A value of parameter `row` with lobes about `factor` times as wide: an angle times `factor`, but never above a full
+    /// turn, unless the model knows better.
+    fn wider(&self, row: usize, value: f64, factor: f64) -> f64 {
+        match self.parameters()[row].unit {
+            Unit::Angle => (factor * value).min(std::f64::consts::TAU),
+            Unit::One => value,
+        }
+    }
+
+    /// `parameters` with lobes about `factor` times as wide, for [`Defensive`] sampling.
     fn widened(&self, parameters: &Parameters, factor: f64) -> Parameters {
-        let value = |(slot, (row, _)): (usize, (usize, usize))| {
-            let value = parameters.values()[slot];
-            match parameters.infos()[row].unit {
-                Unit::Angle => factor * value,
-                Unit::One => value,
-            }
-        };
-        parameters.with_values(
-            parameters
-                .places()
-                .into_iter()
-                .enumerate()
-                .map(value)
-                .collect(),
-        )
+        let values = parameters.places().into_iter().zip(parameters.values());
+        let wider = |((row, _), value): ((usize, usize), &f64)| self.wider(row, *value, factor);
+        parameters.with_values(values.map(wider).collect())
     }
 }
 
