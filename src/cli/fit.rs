@@ -4,6 +4,7 @@ use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
 use crate::base::Result;
 use crate::fit::{Budget, FitResult, Method, Options, fit, refuse_existing};
+use crate::render::FiberSceneOptions;
 use crate::report::{Provenance, page};
 use crate::scatter;
 use crate::session::{Measurements, SessionFolder, files};
@@ -108,20 +109,15 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     let (measurements, synthetic) = Measurements::read_with_origin(&a.measurements)?;
     inputs::prepare_folder(&a.out)?;
     let terminal = Terminal::new()?;
-    // The light and the sample square are those of the session the measurements lie in or beside.
-    let session = session(&a.measurements);
-    let surroundings = session
-        .as_ref()
-        .map(render::surroundings_of)
-        .transpose()?
-        .unwrap_or_default();
-    let scene = render::fiber_scene(&a.fabric, model, surroundings)?;
+    let scene = render::fiber_scene(&a.fabric, model, surroundings_of(&a.measurements)?)?;
     let mut result = fit(&scene, &measurements, &options, &terminal)?;
     terminal.finish_stage();
     result.fabric = a.fabric.display().to_string();
     result.measurements = a.measurements.display().to_string();
     // Either may say so: the file, wherever it lies, or the session it lies in.
-    let of_session = session.and_then(|s| s.manifest().ok()).map(|m| m.synthetic);
+    let of_session = session(&a.measurements)
+        .and_then(|s| s.manifest().ok())
+        .map(|m| m.synthetic);
     result.synthetic = match (synthetic, of_session) {
         (Some(a), Some(b)) => Some(a || b),
         (a, b) => a.or(b),
@@ -151,6 +147,13 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
 /// Reads a parameter file, or the parameters of an earlier fit.
 fn start(path: &Path, model: &dyn scatter::Model) -> Result<scatter::Parameters> {
     inputs::parameters(path, model)
+}
+
+/// The light and the sample square of the session the measurements lie in or beside; the defaults when there is none.
+pub(crate) fn surroundings_of(measurements: &Path) -> Result<FiberSceneOptions> {
+    let session = session(measurements);
+    let surroundings = session.as_ref().map(render::surroundings_of).transpose()?;
+    Ok(surroundings.unwrap_or_default())
 }
 
 /// The session the measurements lie in or beside, if any.
