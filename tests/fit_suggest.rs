@@ -289,9 +289,9 @@ fn named<'a>(knowledge: &'a [Knowledge], name: &str) -> &'a Knowledge {
 
 #[test]
 fn noise_of_the_renders_is_not_taken_for_knowledge() {
-    // beta_r acts nowhere; its derivatives are pure noise, 16 times the measurement errors in each of two renders.
+    // beta_r acts nowhere; its derivatives are pure noise, twice the measurement errors in each of two renders.
     let scene = Formula {
-        noise: 0.5 * 1000_f64.sqrt(),
+        noise: 0.06 * 1000_f64.sqrt(),
         inert: true,
     };
     let p = Toy::truth(&INSIDE);

@@ -155,6 +155,15 @@ impl Shot {
         a.weighted_gram(weights, b).symmetrized()
     }
 
+    /// The same shot by some of the parameters.
+    pub(super) fn by(&self, keep: &[usize]) -> Self {
+        Self {
+            toward_camera: self.toward_camera,
+            jacobians: self.jacobians.each_ref().map(|j| j.columns(keep)),
+            noise: self.noise.columns(keep),
+        }
+    }
+
     /// By how much noise may have raised `e' I e` of this shot, one standard deviation: from the standard errors of the
     /// derivatives, which do not depend on what the two renders happened to give. Channels share paths, so theirs add.
     pub(super) fn noise_along(&self, e: &[f64]) -> f64 {
@@ -228,22 +237,40 @@ pub(super) fn standard_error(shots: &[Shot], e: &[f64]) -> f64 {
 pub(super) struct Seen {
     /// That part.
     pub(super) information: Matrix,
-    /// Unit vectors that span it.
-    directions: Vec<Vec<f64>>,
+    /// The directions it lies in: along `step` and nothing else `form` is one.
+    directions: Vec<(Vec<f64>, Vec<f64>)>,
 }
 
 impl Seen {
-    /// Keeps the eigenvectors of the information along which it is more than three standard errors.
+    /// Keeps the directions that diagonalize the information and along which it is more than three standard errors. They are
+    /// orthogonal where prior and noise are about alike along every axis: otherwise a well known parameter would share its
+    /// directions, and their doubt, with a noisy one.
     pub(super) fn of(n: usize, shots: &[Shot]) -> Self {
+        let scales: Vec<f64> = (0..n)
+            .map(|j| {
+                let rows = shots
+                    .iter()
+                    .flat_map(|s| (0..CHANNELS).map(move |c| s.noise[(c, j)]));
+                (1.0 + rows.map(|s| s * s).sum::<f64>()).sqrt().recip()
+            })
+            .collect();
+        let mut scaled = information(n, shots);
+        for i in 0..n {
+            for j in 0..n {
+                scaled[(i, j)] *= scales[i] * scales[j];
+            }
+        }
         let (mut kept, mut directions) = (Matrix::zeros(n, n), Vec::new());
-        for (value, e) in eigen(&information(n, shots)) {
-            if value > 3.0 * standard_error(shots, &e) {
+        for (value, e) in eigen(&scaled) {
+            let step: Vec<f64> = e.iter().zip(&scales).map(|(e, s)| e * s).collect();
+            if value > 3.0 * standard_error(shots, &step) {
+                let form: Vec<f64> = e.iter().zip(&scales).map(|(e, s)| e / s).collect();
                 for i in 0..n {
                     for j in 0..n {
-                        kept[(i, j)] += value * e[i] * e[j];
+                        kept[(i, j)] += value * form[i] * form[j];
                     }
                 }
-                directions.push(e);
+                directions.push((step, form));
             }
         }
         Self {
@@ -252,14 +279,20 @@ impl Seen {
         }
     }
 
+    /// The part of a step that lies in what is seen.
+    pub(super) fn part_of(&self, whole: &[f64]) -> Vec<f64> {
+        let mut part = vec![0.0; whole.len()];
+        for (step, form) in &self.directions {
+            let along = dot(form, whole);
+            part.iter_mut().zip(step).for_each(|(p, e)| *p += along * e);
+        }
+        part
+    }
+
     /// Relative standard error, from the renders' noise, of the standard deviation of coordinate `j`: `dC = -C dI C`, so
     /// that of the variance is that of `f' I f` with f column j of C, as far as it lies in what is seen.
     pub(super) fn relative_error(&self, shots: &[Shot], covariance: &Matrix, j: usize) -> f64 {
-        let mut f = vec![0.0; covariance.n_rows()];
-        for e in &self.directions {
-            let along = dot(e, covariance.row(j));
-            f.iter_mut().zip(e).for_each(|(f, e)| *f += along * e);
-        }
+        let f = self.part_of(covariance.row(j));
         0.5 * standard_error(shots, &f) / covariance[(j, j)]
     }
 }

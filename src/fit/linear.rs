@@ -129,7 +129,7 @@ impl Matrix {
     }
 
     /// The rows and columns listed in `keep`.
-    pub(super) fn sub(&self, keep: &[usize]) -> Self {
+    fn sub(&self, keep: &[usize]) -> Self {
         let mut s = Self::zeros(keep.len(), keep.len());
         for (a, &i) in keep.iter().enumerate() {
             for (b, &j) in keep.iter().enumerate() {

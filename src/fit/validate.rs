@@ -3,10 +3,11 @@
 //! By refits from the full fit's parameters, or by a linear model around them in closed form: with A the curvature of half
 //! the objective, J the derivatives of the configurations left out and e their residuals in the full fit (both times the
 //! square root of the weight), the residuals without them are `(1 - H)^-1 e`, `H = J A^-1 J'` their leverage. Parameters on
-//! a bound stay there; the bounds of the others enter as a weak prior, so what the rest does not determine stays put.
+//! a bound stay there; the bounds of the others enter as a weak prior, so what the rest does not determine stays put, and so
+//! does what the renders' noise hides.
 
-use super::information::{self, Place, Shot};
-use super::linear::{Matrix, inverse, solve};
+use super::information::{self, Place, Seen, Shot};
+use super::linear::Matrix;
 use super::objective::{Objective, RenderPair, TAU};
 use super::options::{Budget, Options};
 use super::predict::{Compared, Comparison, Prediction, compare, parameters_of, predict};
@@ -41,8 +42,7 @@ pub enum Refit {
 /// measured. `full` is the fit of all of `measurements`.
 ///
 /// # Errors
-/// When a fold is empty or names a configuration that was not measured, nothing is left to fit, a fit or a render fails,
-/// or without a fold's configurations some parameter would have no measurement at all (linear).
+/// When a fold is empty or names a configuration that was not measured, nothing is left to fit, or a fit or a render fails.
 pub fn validate(
     scene: &dyn Scene,
     measurements: &Measurements,
@@ -141,23 +141,22 @@ fn split(measurements: &Measurements, fold: &[u32]) -> (Measurements, Measuremen
     (of(rest), of(left_out))
 }
 
-/// The linear model around a fit. Rows are whitened: numbers times the square root of their weights.
+/// The linear model around a fit. Rows are whitened: numbers divided by the error of each.
 struct Linear {
     configurations: Vec<Configuration>,
-    /// `1 / sqrt(weight)` per configuration.
-    brightness: Vec<f64>,
+    /// What the numbers of a configuration are divided by: its brightness times the relative error the fit shows.
+    unit: Vec<f64>,
+    /// By the parameters that are not on a bound.
     shots: Vec<Shot>,
+    n_free: usize,
     /// Rendered minus measured of both renders, not whitened.
     residuals: Vec<[[f64; CHANNELS]; 2]>,
     measured: Vec<Intensity>,
     monte_carlo_se: Vec<[f64; CHANNELS]>,
     paths: Vec<u64>,
-    /// Curvature of half the objective with the prior, free parameters only.
-    curvature: Matrix,
-    /// Squared relative error of a number as the fit shows it: what one unit of the prior weighs.
-    error2: f64,
+    /// Relative error of the model, and of all numbers as the fit shows it.
     model_error: f64,
-    free: Vec<usize>,
+    error: f64,
 }
 
 impl Linear {
@@ -182,22 +181,22 @@ impl Linear {
             LINEAR_INDEX,
             watch,
         )?;
-        let brightness: Vec<f64> = objective
-            .weights()
-            .iter()
-            .map(|w| w.sqrt().recip())
-            .collect();
-        let per = |i: usize, _| [brightness[i]; CHANNELS];
-        let shots = Shot::of_pair(&place, &configurations, &pair, per)?;
-        let free: Vec<usize> = (0..place.len())
-            .filter(|&j| place.u[j] > place.space.lower()[j] && place.u[j] < place.space.upper()[j])
-            .collect();
         let model_error = 0.01 * full.objective.misfit_percent;
         let measured_error = 0.01 * full.objective.measurement_rms_percent;
         // Exact data would leave no room for a prior: a ten thousandth is too small to matter.
-        let error2 = measured_error.hypot(model_error).max(1e-4).powi(2);
-        let mut curvature = information::information(place.len(), &shots).sub(&free);
-        (0..free.len()).for_each(|j| curvature[(j, j)] += error2);
+        let error = measured_error.hypot(model_error).max(1e-4);
+        let unit: Vec<f64> = objective
+            .weights()
+            .iter()
+            .map(|w| error / w.sqrt())
+            .collect();
+        let free: Vec<usize> = (0..place.len())
+            .filter(|&j| place.u[j] > place.space.lower()[j] && place.u[j] < place.space.upper()[j])
+            .collect();
+        let shots = Shot::of_pair(&place, &configurations, &pair, |i, _| [unit[i]; CHANNELS])?
+            .iter()
+            .map(|shot| shot.by(&free))
+            .collect();
         let measured = objective.intensities().to_vec();
         Ok(Self {
             residuals: pair
@@ -213,54 +212,49 @@ impl Linear {
                 .collect(),
             paths: pair.estimates().map(|[a, b]| a.paths + b.paths).collect(),
             configurations,
-            brightness,
+            unit,
             shots,
+            n_free: free.len(),
             measured,
-            curvature,
-            error2,
             model_error,
-            free,
+            error,
         })
     }
 
     /// What the others predict for the configurations of `fold`.
     fn predict(&self, fold: &[u32]) -> Result<Vec<Prediction>> {
-        let lost = || {
+        let (members, rest): (Vec<usize>, Vec<usize>) = (0..self.configurations.len())
+            .partition(|&i| fold.contains(&self.configurations[i].id));
+        let shots: Vec<Shot> = rest.iter().map(|&i| self.shots[i].clone()).collect();
+        // Directions in which the rest says no more than the renders' noise could feign stay put.
+        let seen = Seen::of(self.n_free, &shots);
+        let inverse = information::covariance(&seen.information).ok_or_else(|| {
             Error::new(format!(
                 "without configurations {fold:?} the linear model has no curvature"
             ))
-            .with_hint("leave fewer out at a time, give more --paths, or refit without --fast")
-        };
-        let members: Vec<usize> = (0..self.configurations.len())
-            .filter(|&i| fold.contains(&self.configurations[i].id))
-            .collect();
-        let mut without = self.curvature.clone();
+            .with_hint("refit without --fast")
+        })?;
         // Errors of the measurements that are left, and of the prior.
-        let mut noise = Matrix::zeros(self.free.len(), self.free.len());
-        (0..self.free.len()).for_each(|j| noise[(j, j)] = self.error2.powi(2));
-        for (i, shot) in self.shots.iter().enumerate() {
-            if members.contains(&i) {
-                without.add_scaled(-1.0, &shot.information().sub(&self.free));
-            } else {
-                let se = self.measured[i].standard_error;
-                let variances =
-                    se.map(|s| (s / self.brightness[i]).powi(2) + self.model_error.powi(2));
-                noise.add_scaled(1.0, &shot.weighted_information(&variances).sub(&self.free));
-            }
+        let mut noise = Matrix::zeros(self.n_free, self.n_free);
+        (0..self.n_free).for_each(|j| noise[(j, j)] = 1.0);
+        for &i in &rest {
+            let se = self.measured[i].standard_error;
+            let model = self.model_error / self.error;
+            let variances = se.map(|s| (s / self.unit[i]).powi(2) + model.powi(2));
+            noise.add_scaled(1.0, &self.shots[i].weighted_information(&variances));
         }
-        let inverse = inverse(&without).ok_or_else(lost)?;
         let covariance = inverse.times_matrix(&noise).times_matrix(&inverse);
         // (1 - H)^-1 e = e + J step, with the step the others' minimum is away from the full fit's.
-        let mut pull = vec![0.0; self.free.len()];
+        let mut pull = vec![0.0; self.n_free];
         for &i in &members {
             // One render's derivatives with the other's residuals: noise does not meet itself.
-            let [a, b] = self.shots[i].each().map(|j| j.columns(&self.free));
+            let [a, b] = self.shots[i].each();
             for (jacobian, e) in [(a, self.whitened(i, 1)), (b, self.whitened(i, 0))] {
                 let half = jacobian.weighted_transpose_times(&[0.5; CHANNELS], &e);
                 pull.iter_mut().zip(half).for_each(|(p, x)| *p += x);
             }
         }
-        let step = solve(&without, &pull).ok_or_else(lost)?;
+        let step = seen.part_of(&inverse.times(&pull));
         Ok(members
             .iter()
             .map(|&i| self.prediction(i, &step, &covariance))
@@ -269,23 +263,22 @@ impl Linear {
 
     /// Whitened residual of a configuration in one of the renders.
     fn whitened(&self, i: usize, which: usize) -> [f64; CHANNELS] {
-        self.residuals[i][which].map(|r| r / self.brightness[i])
+        self.residuals[i][which].map(|r| r / self.unit[i])
     }
 
     fn prediction(&self, i: usize, step: &[f64], covariance: &Matrix) -> Prediction {
-        let brightness = self.brightness[i];
-        let moved = self.shots[i].mean().columns(&self.free).times(step);
-        let renders = self.residuals[i].map(|r| {
-            std::array::from_fn(|c| self.measured[i].mean[c] + r[c] + brightness * moved[c])
-        });
-        let [a, b] = self.shots[i].each().map(|j| j.columns(&self.free));
+        let unit = self.unit[i];
+        let moved = self.shots[i].mean().times(step);
+        let renders = self.residuals[i]
+            .map(|r| std::array::from_fn(|c| self.measured[i].mean[c] + r[c] + unit * moved[c]));
+        let [a, b] = self.shots[i].each();
         let mean: [f64; CHANNELS] = std::array::from_fn(|c| 0.5 * (renders[0][c] + renders[1][c]));
         let model = self.model_error / relative_error_weight(mean, TAU).sqrt();
         Prediction {
             configuration: self.configurations[i],
             mean,
             parameter_se: std::array::from_fn(|c| {
-                brightness * information::variance(covariance, a.row(c), b.row(c)).sqrt()
+                unit * information::variance(covariance, a.row(c), b.row(c)).sqrt()
             }),
             monte_carlo_se: self.monte_carlo_se[i],
             model_se: [model; CHANNELS],

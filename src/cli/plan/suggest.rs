@@ -377,6 +377,20 @@ fn print_table(
         100.0 * options.relative_error,
         100.0 * options.model_error
     );
+    if suggestion.shots.len() < options.shots {
+        data!(
+            "# {} shots were asked for; of the other candidates these renders see none that helps",
+            options.shots
+        );
+    }
+    let unknown = after.iter().filter(|k| k.share_unknown > 0.5);
+    let unknown: Vec<&str> = unknown.map(|k| k.name.as_str()).collect();
+    if !unknown.is_empty() {
+        data!(
+            "# still unknown: {}; more --paths may show poses that tell",
+            unknown.join(", ")
+        );
+    }
     data!("# ?: known to no better than half of itself from these renders; more --paths tell");
 }
 
