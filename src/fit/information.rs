@@ -146,13 +146,8 @@ impl Shot {
 
     /// The unbiased information of this shot; symmetric, not necessarily positive.
     pub(super) fn information(&self) -> Matrix {
-        self.weighted_information(&[1.0; CHANNELS])
-    }
-
-    /// The same with a weight for each number.
-    pub(super) fn weighted_information(&self, weights: &[f64; CHANNELS]) -> Matrix {
         let [a, b] = &self.jacobians;
-        a.weighted_gram(weights, b).symmetrized()
+        a.weighted_gram(&[1.0; CHANNELS], b).symmetrized()
     }
 
     /// The same shot by some of the parameters.

@@ -234,15 +234,10 @@ impl Linear {
             ))
             .with_hint("refit without --fast")
         })?;
-        // Errors of the measurements that are left, and of the prior.
-        let mut noise = Matrix::zeros(self.n_free, self.n_free);
-        (0..self.n_free).for_each(|j| noise[(j, j)] = 1.0);
-        for &i in &rest {
-            let se = self.measured[i].standard_error;
-            let model = self.model_error / self.error;
-            let variances = se.map(|s| (s / self.unit[i]).powi(2) + model.powi(2));
-            noise.add_scaled(1.0, &self.shots[i].weighted_information(&variances));
-        }
+        // Errors of the measurements that are left, on average, and of the prior.
+        let mut noise = seen.information.clone();
+        noise.scale(rest.iter().map(|&i| self.variance(i)).sum::<f64>() / rest.len() as f64);
+        (0..self.n_free).for_each(|j| noise[(j, j)] += 1.0);
         let covariance = inverse.times_matrix(&noise).times_matrix(&inverse);
         // (1 - H)^-1 e = e + J step, with the step the others' minimum is away from the full fit's.
         let mut pull = vec![0.0; self.n_free];
@@ -259,6 +254,13 @@ impl Linear {
             .iter()
             .map(|&i| self.prediction(i, &step, &covariance))
             .collect())
+    }
+
+    /// Mean whitened variance of a configuration's numbers.
+    fn variance(&self, i: usize) -> f64 {
+        let se = self.measured[i].standard_error.map(|s| s / self.unit[i]);
+        let squares: f64 = se.iter().map(|s| s * s).sum();
+        squares / CHANNELS as f64 + (self.model_error / self.error).powi(2)
     }
 
     /// Whitened residual of a configuration in one of the renders.
