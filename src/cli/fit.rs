@@ -140,15 +140,9 @@ impl Asked {
         })
     }
 
-    /// The light and the sample square, those of the session the measurements lie in or beside, if any; and whether that
-    /// session is synthetic.
+    /// See [`surroundings_of`].
     pub(crate) fn surroundings(&self) -> Result<(FiberSceneOptions, Option<bool>)> {
-        let folder = self.measurements.parent();
-        let folder = folder.filter(|p| !p.as_os_str().is_empty());
-        let session = inputs::session(folder.unwrap_or(Path::new("."))).ok();
-        let options = session.as_ref().map(render::surroundings_of).transpose()?;
-        let manifest = session.and_then(|s| s.manifest().ok());
-        Ok((options.unwrap_or_default(), manifest.map(|m| m.synthetic)))
+        surroundings_of(&self.measurements)
     }
 
     /// The fit of what was read; `command` is the one that repeats it.
@@ -193,6 +187,17 @@ impl Asked {
         option("out", path(out));
         quoted(words.into_iter())
     }
+}
+
+/// The light and the sample square, those of the session the measurements lie in or beside, if any; and whether that session
+/// is synthetic.
+pub(crate) fn surroundings_of(measurements: &Path) -> Result<(FiberSceneOptions, Option<bool>)> {
+    let folder = measurements.parent();
+    let folder = folder.filter(|p| !p.as_os_str().is_empty());
+    let session = inputs::session(folder.unwrap_or(Path::new("."))).ok();
+    let options = session.as_ref().map(render::surroundings_of).transpose()?;
+    let manifest = session.and_then(|s| s.manifest().ok());
+    Ok((options.unwrap_or_default(), manifest.map(|m| m.synthetic)))
 }
 
 /// Where a fit's files lie in its folder: `fit.json` and `report.html`.

@@ -1,6 +1,7 @@
 //! What several commands read the same way.
 
 use crate::base::{Context, Error, Result};
+use crate::fit::FitResult;
 use crate::scatter::{Model, Parameters};
 use crate::session::{SessionFolder, files};
 use std::path::Path;
@@ -14,6 +15,15 @@ pub(crate) fn parameters(path: &Path, model: &dyn Model) -> Result<Parameters> {
         object = object["parameters"].take();
     }
     Parameters::from_json(model, &object).context(what)
+}
+
+/// Reads a fit.json, given it or the folder that holds it.
+pub(crate) fn fit_result(path: &Path) -> Result<FitResult> {
+    if path.is_dir() {
+        FitResult::read(&path.join("fit.json"))
+    } else {
+        FitResult::read(path)
+    }
 }
 
 /// Parses `1%` or `0.01`.

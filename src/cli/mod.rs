@@ -26,6 +26,7 @@ mod fit_all;
 mod measure;
 mod measured;
 mod plan;
+mod predict;
 mod render;
 mod report;
 mod rig;
@@ -33,6 +34,7 @@ mod scatter;
 mod session;
 mod sim;
 mod simulate;
+mod validate;
 
 use crate::base::Result;
 use clap::{Parser, Subcommand};
@@ -76,6 +78,8 @@ enum Command {
     Render(render::Arguments),
     Scatter(scatter::Arguments),
     Fabric(fabric::Arguments),
+    Predict(predict::Arguments),
+    Validate(validate::Arguments),
     Report(report::Arguments),
 }
 
@@ -111,6 +115,8 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Render(a) => render::run(a),
         Command::Scatter(a) => scatter::run(a),
         Command::Fabric(a) => fabric::run(a),
+        Command::Predict(a) => predict::run(a),
+        Command::Validate(a) => validate::run(a),
         Command::Report(a) => report::run(a),
     }
 }

@@ -1,5 +1,6 @@
 //! Data on stdout.
 
+use crate::session::Configuration;
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
 
@@ -23,3 +24,16 @@ macro_rules! data {
     };
 }
 pub(crate) use data;
+
+/// A pose in degrees: light and camera as polar angle and azimuth, rotation; without the last bits' noise of the conversion,
+/// and without -0.
+pub(crate) fn pose_degrees(c: &Configuration) -> [f64; 5] {
+    let angles = [
+        c.light.theta,
+        c.light.phi,
+        c.camera.theta,
+        c.camera.phi,
+        c.rotation,
+    ];
+    angles.map(|a| (a.to_degrees() * 1e6).round() / 1e6 + 0.0)
+}

@@ -1,4 +1,6 @@
-//! `goniofit plan`: make plans, and check which poses a rig can reach.
+//! `goniofit plan`: make plans, check which poses a rig can reach, suggest the next.
+
+mod suggest;
 
 use super::output::data;
 use super::terminal::Terminal;
@@ -10,12 +12,13 @@ use crate::session::{Configuration, Plan, files, protocols};
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
 
-/// Make the plan of a published measurement or a grid, or check a plan against a rig
+/// Make the plan of a published measurement or a grid, check a plan against a rig, or suggest the next poses
 #[derive(Args)]
 #[command(after_help = "Examples:
   goniofit plan irawan --out irawan.toml
   goniofit plan grid --light-theta 0,30,60 --light-phi 0,90 --camera-theta 0,45 --out grid.toml
-  goniofit plan check irawan.toml --rig rig_configs/five_axis_grblhal.toml --turn --out reachable.toml")]
+  goniofit plan check irawan.toml --rig rig_configs/five_axis_grblhal.toml --turn --out reachable.toml
+  goniofit plan suggest --fit trial/fit --rig rig_configs/five_axis_grblhal.toml --out next.toml")]
 pub(crate) struct Arguments {
     #[command(subcommand)]
     what: What,
@@ -27,6 +30,7 @@ enum What {
     Khungurn(KhungurnArguments),
     Grid(GridArguments),
     Check(CheckArguments),
+    Suggest(Box<suggest::SuggestArguments>),
 }
 
 /// Where a plan goes.
@@ -138,6 +142,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
             write(&plan, &a.target)
         }
         What::Check(a) => check(&a),
+        What::Suggest(a) => suggest::run(&a),
     }
 }
 
@@ -146,15 +151,15 @@ fn write(plan: &Plan, target: &Target) -> Result<Outcome> {
         data!("{}", plan.to_toml()?.trim_end());
         return Ok(Outcome::Done);
     };
-    save(plan, out, target.force)?;
+    save(plan, out, target.force, &Terminal::new()?)?;
     Ok(Outcome::Done)
 }
 
-fn save(plan: &Plan, out: &Path, force: bool) -> Result<()> {
+fn save(plan: &Plan, out: &Path, force: bool, terminal: &Terminal) -> Result<()> {
     inputs::refuse_overwriting(out, force)?;
     files::write_atomic(out, plan.to_toml()?.as_bytes())?;
     let n = plan.configurations.len();
-    Terminal::new()?.say(format!("wrote {} ({n} configurations)", out.display()));
+    terminal.say(format!("wrote {} ({n} configurations)", out.display()));
     Ok(())
 }
 
@@ -183,7 +188,7 @@ fn check(a: &CheckArguments) -> Result<Outcome> {
             reachable.name += "-reachable";
             reachable.description += &format!("; the poses rig {} can reach", rig.name);
         }
-        save(&reachable, out, a.force)?;
+        save(&reachable, out, a.force, &Terminal::new()?)?;
     }
     Ok(if refused.is_empty() {
         Outcome::Done

@@ -104,6 +104,30 @@ impl Matrix {
         s
     }
 
+    /// `self other`.
+    pub(super) fn times_matrix(&self, other: &Self) -> Self {
+        let mut product = Self::zeros(self.n_rows, other.n_columns);
+        for i in 0..self.n_rows {
+            for (k, &a) in self.row(i).iter().enumerate() {
+                for j in 0..other.n_columns {
+                    product[(i, j)] += a * other[(k, j)];
+                }
+            }
+        }
+        product
+    }
+
+    /// The columns listed in `keep`.
+    pub(super) fn columns(&self, keep: &[usize]) -> Self {
+        let mut s = Self::zeros(self.n_rows, keep.len());
+        for i in 0..self.n_rows {
+            for (b, &j) in keep.iter().enumerate() {
+                s[(i, b)] = self[(i, j)];
+            }
+        }
+        s
+    }
+
     /// The rows and columns listed in `keep`.
     fn sub(&self, keep: &[usize]) -> Self {
         let mut s = Self::zeros(keep.len(), keep.len());

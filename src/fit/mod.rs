@@ -3,22 +3,33 @@
 //! Knows parameters by name and never a concrete model; never sees a port or a photograph. The method in equations, with
 //! what is unbiased and what only consistent, is in docs/fit.md.
 
+mod choice;
+mod information;
 mod linear;
 mod objective;
 mod options;
 mod pool;
+mod predict;
 mod result;
 mod search;
 mod space;
+mod suggest;
 mod summary;
 mod uncertainty;
+mod validate;
 
 pub use objective::{Objective, PairedValue, RenderPair, TAU, rms_of};
 pub use options::{Budget, Method, Options};
+pub use predict::{Compared, Comparison, Prediction, compare, predict};
 pub use result::{
     ConfigurationResult, Correlation, Cost, FitResult, Iteration, ObjectiveResult, ParameterResult,
     Truth, Verdict, refuse_existing,
 };
+pub use suggest::{
+    Aim, Knowledge, MeasuredPose, SuggestOptions, SuggestedShot, Suggestion, suggest,
+};
+pub use summary::three_digits;
+pub use validate::{Refit, validate};
 
 use crate::base::{Result, Watch};
 use crate::render::Scene;

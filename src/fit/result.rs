@@ -153,6 +153,10 @@ pub struct Correlation {
     pub names: Vec<String>,
     /// Symmetric, 1 on the diagonal.
     pub matrix: Vec<Vec<f64>>,
+    /// Standard deviations in the coordinates of the search (docs/fit.md): with the matrix the covariance. Empty in files of
+    /// earlier versions.
+    #[serde(default)]
+    pub search_sd: Vec<f64>,
 }
 
 /// What the fit cost.
@@ -260,7 +264,12 @@ impl FitResult {
                     .ok_or_else(|| Error::new(format!("truth: parameter {} is missing", p.name)))
             })
             .collect::<Result<_>>()?;
-        let (weighted_rms, se) = self.rms_against(&intensities);
+        let (weighted_rms, se) = rms_against(
+            self.configs
+                .iter()
+                .zip(&intensities)
+                .map(|(c, truth)| (c.weight, c.renders, c.rendered_se, *truth)),
+        );
         self.truth = Some(Truth {
             parameters,
             values,
@@ -269,28 +278,6 @@ impl FitResult {
             weighted_rms_se_percent: 100.0 * se,
         });
         Ok(())
-    }
-
-    /// Weighted rms of the rendered means against other intensities, and its standard error, from the fresh pair.
-    fn rms_against(&self, intensities: &[[f64; CHANNELS]]) -> (f64, f64) {
-        let (mut value, mut variance) = (0.0, 0.0);
-        for (config, truth) in self.configs.iter().zip(intensities) {
-            let mut of_configuration = 0.0_f64;
-            for c in 0..CHANNELS {
-                let e = config.renders.map(|r| r[c] - truth[c]);
-                // Each render has twice the variance of their mean.
-                let s2 = 2.0 * config.rendered_se[c].powi(2);
-                value += config.weight * e[0] * e[1];
-                // Channels of a configuration share paths: standard errors add.
-                of_configuration += (2.0 * (e[0] * e[1]).max(0.0) * s2 + s2 * s2).sqrt();
-            }
-            variance += (config.weight * of_configuration).powi(2);
-        }
-        let paired = PairedValue {
-            value,
-            standard_error: variance.sqrt(),
-        };
-        rms_of(paired, CHANNELS * self.configs.len())
     }
 
     /// The text of `fit.json`.
@@ -333,6 +320,33 @@ impl FitResult {
         }
         files::write_atomic(path, self.to_json()?.as_bytes())
     }
+}
+
+/// Two independent renders of a configuration beside what they are to show: weight, renders, standard error of the renders'
+/// mean, target.
+pub(super) type RenderedTarget = (f64, [[f64; CHANNELS]; 2], [f64; CHANNELS], [f64; CHANNELS]);
+
+/// Weighted rms of rendered means against other intensities, and its standard error; unbiased below the root.
+pub(super) fn rms_against(rows: impl Iterator<Item = RenderedTarget>) -> (f64, f64) {
+    let (mut value, mut variance, mut n) = (0.0, 0.0, 0);
+    for (weight, renders, se, target) in rows {
+        let mut of_configuration = 0.0_f64;
+        for c in 0..CHANNELS {
+            let e = renders.map(|r| r[c] - target[c]);
+            // Each render has twice the variance of their mean.
+            let s2 = 2.0 * se[c].powi(2);
+            value += weight * e[0] * e[1];
+            // Channels of a configuration share paths: standard errors add.
+            of_configuration += (2.0 * (e[0] * e[1]).max(0.0) * s2 + s2 * s2).sqrt();
+        }
+        variance += (weight * of_configuration).powi(2);
+        n += CHANNELS;
+    }
+    let paired = PairedValue {
+        value,
+        standard_error: variance.sqrt(),
+    };
+    rms_of(paired, n)
 }
 
 /// Fails when there is a fit at `path` already: to be asked before any work is done.

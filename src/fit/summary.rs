@@ -1,6 +1,6 @@
 //! From where the search ended to a [`FitResult`]: a fresh pair judges, verdicts are put into words.
 
-use super::linear::{Matrix, box_quadratic, inverse};
+use super::linear::{box_quadratic, inverse};
 use super::objective::{PairedValue, RenderPair, rms_of};
 use super::pool::Pool;
 use super::result::{
@@ -136,7 +136,7 @@ pub(super) fn summarize(
             .filter(|p| p.verdict == Verdict::NotDetermined)
             .map(|p| p.name.clone())
             .collect(),
-        correlation: correlation(&parameters, &samples.correlation),
+        correlation: correlation(&parameters, &samples),
         uncertainty,
         configs: objective
             .intensities()
@@ -349,7 +349,7 @@ fn parameter_results(
 }
 
 /// A number with three significant digits, at most five decimals.
-pub(super) fn three_digits(x: f64) -> String {
+pub fn three_digits(x: f64) -> String {
     if x.abs() < 1e-300 {
         return "0".to_owned();
     }
@@ -385,8 +385,10 @@ fn sentence(p: &ParameterResult) -> String {
     }
 }
 
-fn correlation(parameters: &Parameters, matrix: &Matrix) -> Correlation {
+fn correlation(parameters: &Parameters, samples: &Samples) -> Correlation {
+    let matrix = &samples.correlation;
     Correlation {
+        search_sd: samples.sd.clone(),
         names: parameters.flat_names(),
         matrix: (0..matrix.n_rows())
             .map(|i| matrix.row(i).to_vec())

@@ -10,7 +10,7 @@
 use super::linear::{Matrix, dot, eigen, inverse};
 use super::pool::LinearModel;
 use super::space::SearchSpace;
-use crate::math::Random;
+use crate::math::{Random, statistics::Running};
 
 /// Gibbs sweeps kept, and dropped before them.
 const SWEEPS: (usize, usize) = (20_000, 1_000);
@@ -22,6 +22,8 @@ pub(super) struct Samples {
     sorted: Vec<Vec<f64>>,
     /// Correlation between flat places.
     pub(super) correlation: Matrix,
+    /// Standard deviation of each flat place, in search coordinates.
+    pub(super) sd: Vec<f64>,
 }
 
 /// An interval in search coordinates.
@@ -36,26 +38,32 @@ impl Samples {
         noise: &Matrix,
         seed: u64,
     ) -> Self {
-        let precision = precision(space, u, model, noise);
+        Self::around(space, u, &precision(space, u, model, noise), seed)
+    }
+
+    /// Samples of the normal density of this precision around `u`, cut off at the bounds.
+    pub(super) fn around(space: &SearchSpace, u: &[f64], precision: &Matrix, seed: u64) -> Self {
         let center = u;
         let mut random = Random::keyed(&[seed, 0x0fff_17ce]);
         let p = space.len();
         let mut x = space.clamped(u);
-        let directions = directions(space, &precision);
+        let directions = directions(space, precision);
         let mut samples = vec![Vec::with_capacity(SWEEPS.0); p];
         for sweep in 0..SWEEPS.0 + SWEEPS.1 {
             for e in &directions {
-                move_along(e, space, &precision, center, &mut x, &mut random);
+                move_along(e, space, precision, center, &mut x, &mut random);
             }
             if sweep >= SWEEPS.1 {
                 samples.iter_mut().zip(&x).for_each(|(s, x)| s.push(*x));
             }
         }
         let correlation = correlation(&samples);
+        let sd = samples.iter().map(|s| deviation(s)).collect();
         samples.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
         Self {
             sorted: samples,
             correlation,
+            sd,
         }
     }
 
@@ -200,6 +208,12 @@ fn precision(space: &SearchSpace, u: &[f64], model: &LinearModel, noise: &Matrix
     precision
 }
 
+fn deviation(samples: &[f64]) -> f64 {
+    let mut running = Running::default();
+    samples.iter().for_each(|x| running.push(*x));
+    running.variance().sqrt()
+}
+
 fn correlation(samples: &[Vec<f64>]) -> Matrix {
     let p = samples.len();
     let n = samples.first().map_or(1, Vec::len) as f64;
@@ -274,7 +288,6 @@ fn tail(low: f64, high: f64, random: &mut Random) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::statistics::Running;
 
     /// Mean of a standard normal between `a` and `b` by Simpson's rule.
     fn exact_mean(a: f64, b: f64) -> f64 {

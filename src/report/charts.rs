@@ -5,7 +5,7 @@ use super::svg::{Axis, Drawing, Scale, log_range};
 use crate::fit::{ConfigurationResult, FitResult, ParameterResult};
 
 const WIDTH: f64 = 440.0;
-const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+pub(super) const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 
 /// Measured against rendered intensity, both logarithmic, with error bars of one standard error.
 pub(super) fn scatter(result: &FitResult) -> String {

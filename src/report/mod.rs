@@ -11,8 +11,10 @@ pub mod linear_picture;
 pub mod measurement;
 mod page;
 mod png_file;
+mod prediction;
 pub mod preview;
 mod svg;
 pub mod swatch;
 
 pub use page::{Picture, Provenance, Section, Table, page};
+pub use prediction::prediction_chart;

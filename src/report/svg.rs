@@ -1,7 +1,6 @@
 //! A small drawing surface with two axes.
 
 use super::html::{escape, number};
-use std::fmt::Write;
 
 /// How an axis maps values to the surface.
 #[derive(Debug, Clone, Copy)]
@@ -182,16 +181,24 @@ impl Drawing {
         self.body.push('\n');
     }
 
+    /// The picture as part of a page.
     pub(super) fn finish(self) -> String {
-        let mut svg = String::new();
+        let body = &self.body;
+        self.element("", body)
+    }
+
+    /// The picture as a file of its own, with the page's style inside.
+    pub(super) fn finish_file(self, style: &str) -> String {
+        let body = format!("<style><![CDATA[\n{style}]]></style>\n{}", self.body);
+        self.element(" xmlns=\"http://www.w3.org/2000/svg\"", &body)
+    }
+
+    fn element(&self, attributes: &str, body: &str) -> String {
         let (w, h) = (self.width, self.height);
-        // Writing to a string cannot fail.
-        let _ = write!(
-            svg,
-            "<svg viewBox=\"0 0 {w} {h}\" role=\"img\" aria-label=\"{}\">\n{}</svg>\n",
-            self.label, self.body
-        );
-        svg
+        format!(
+            "<svg{attributes} viewBox=\"0 0 {w} {h}\" role=\"img\" aria-label=\"{}\">\n{body}</svg>\n",
+            self.label
+        )
     }
 }
 

@@ -198,9 +198,11 @@ impl Toy {
 
     fn estimate_one(&self, request: &Request<'_>, i: usize, paths: u64) -> Estimate {
         let p = request.parameters;
-        let exact: Vec<_> = (0..3).map(|c| self.exact(p.values(), i, c)).collect();
+        // Configurations are known by their ids: a request may leave some out.
+        let place = request.configurations[i].id as usize - 1;
+        let exact: Vec<_> = (0..3).map(|c| self.exact(p.values(), place, c)).collect();
         // A path hits with probability q and then carries an exponential weight: relative variance (2 - q) / q.
-        let q = 2.0 / (1.0 + self.path_sd[i].powi(2));
+        let q = 2.0 / (1.0 + self.path_sd[place].powi(2));
         let n_batches = 32u32;
         let per_batch = (paths as f64 / f64::from(n_batches)).max(1.0);
         let rows = p.infos().len();
@@ -222,7 +224,7 @@ impl Toy {
             for c in 0..3 {
                 let (mean, derivative) = &exact[c];
                 let own =
-                    common * (1.0 + 0.3 * self.path_sd[i] / per_batch.sqrt() * random.normal());
+                    common * (1.0 + 0.3 * self.path_sd[place] / per_batch.sqrt() * random.normal());
                 means[c].push(mean * own);
                 for row in 0..rows {
                     let j = p.slot(row, c);
