@@ -2,7 +2,7 @@
 
 use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::fit::{Budget, FitResult, Method, Options, fit, refuse_existing};
 use crate::report::{Provenance, page};
 use crate::scatter;
@@ -16,6 +16,12 @@ Examples:
   goniofit fit --measurements session/measurements.csv --fabric fabrics/gabardine.toml --out fit
   goniofit fit --measurements M.csv --fabric F.toml --seed 7 --paths 5000000 --out fit --json
   goniofit fit --measurements M.csv --fabric F.toml --accuracy 1% --time 10m --start fit/fit.json --out finer
+  goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
+  goniofit fit --measurements M.csv --fabric F.toml --method adam --rates 0.2 --iterations 300 --time 10m --out adam
+
+Methods: gauss-newton; sgd, the search of Khungurn et al. 2015 (six learning rates a of 60 iterations each, in rescaled
+parameters; in full size 8388608 paths each iteration, 3e9 in all); adam (Kingma and Ba 2015). The last two work off a
+fixed schedule: the limit shares out the paths of an iteration, unless --iteration-paths says how many.
 
 Without a limit a fit ends after 60 seconds, or earlier when Monte Carlo noise adds little to the measurement errors.
 The same seed and --paths give the same numbers on any number of threads; a fit limited by time does not repeat exactly.
@@ -30,9 +36,11 @@ pub(crate) struct Arguments {
     /// Scattering model
     #[arg(long, default_value = "khungurn")]
     model: String,
-    /// How to search
+    /// How to search: gauss-newton, sgd or adam
     #[arg(long, default_value = "gauss-newton")]
     method: String,
+    #[command(flatten)]
+    schedule: Schedule,
     /// Selects the random streams
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -60,6 +68,49 @@ pub(crate) struct Arguments {
     /// Print fit.json instead of a table
     #[arg(long)]
     json: bool,
+}
+
+/// What only the methods with a fixed schedule are asked.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Schedule (sgd and adam)")]
+struct Schedule {
+    /// Camera paths of one iteration, both renders together [default: so that all iterations fit in the limit]
+    #[arg(long, value_name = "N")]
+    iteration_paths: Option<u64>,
+    /// Iterations of each run [default: 60 for sgd, 200 for adam]
+    #[arg(long, value_name = "N")]
+    iterations: Option<u32>,
+    /// Learning rates: the multipliers a that sgd tries, or adam's first step [default: 0.25,1,4,16,64,256 or 0.3]
+    #[arg(long, value_name = "A,...", value_delimiter = ',')]
+    rates: Vec<f64>,
+}
+
+impl Schedule {
+    fn apply(&self, options: &mut Options) -> Result<()> {
+        options.iteration_paths = self.iteration_paths;
+        let asked = self.iterations.is_some() || !self.rates.is_empty();
+        match (options.method, self.rates.as_slice()) {
+            (Method::GaussNewton, _) if asked || self.iteration_paths.is_some() => {
+                return Err(
+                    Error::new("gauss-newton has no schedule of iterations and rates").with_hint(
+                        "--iteration-paths, --iterations and --rates go with --method sgd or adam",
+                    ),
+                );
+            }
+            (Method::Sgd, rates) if !rates.is_empty() => options.sgd.rates = rates.to_vec(),
+            (Method::Adam, [rate]) => options.adam.rate = *rate,
+            (Method::Adam, [_, _, ..]) => {
+                return Err(Error::new("adam takes one learning rate, not a list")
+                    .with_hint("write e.g. --rates 0.3"));
+            }
+            _ => {}
+        }
+        if let Some(iterations) = self.iterations {
+            options.sgd.iterations = iterations;
+            options.adam.iterations = iterations;
+        }
+        Ok(())
+    }
 }
 
 /// Parses `60s`, `5m`, `1h` or plain seconds.
@@ -99,12 +150,13 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         refuse_existing(&fit_path)?;
     }
     let model = scatter::model(&a.model)?;
-    let options = Options {
+    let mut options = Options {
         method: Method::named(&a.method)?,
         start: a.start.as_deref().map(|p| start(p, model)).transpose()?,
         tolerance: a.tolerance,
         ..Options::new(a.seed, budget(&a))
     };
+    a.schedule.apply(&mut options)?;
     let (measurements, synthetic) = Measurements::read_with_origin(&a.measurements)?;
     inputs::prepare_folder(&a.out)?;
     let terminal = Terminal::new()?;
