@@ -20,7 +20,7 @@ Examples:
   goniofit fit --measurements M.csv --fabric F.toml --method adam --rates 0.2 --iterations 300 --time 10m --out adam
 
 Methods: gauss-newton; sgd, the search of Khungurn et al. 2015 (six learning rates a of 60 iterations each, in rescaled
-parameters; in full size 8388608 paths each iteration, 3e9 in all); adam (Kingma and Ba 2015). The last two work off a
+parameters; in full size --iteration-paths 8388608 --paths 6200000000); adam (Kingma and Ba 2015). The last two work off a
 fixed schedule: the limit shares out the paths of an iteration, unless --iteration-paths says how many.
 
 Without a limit a fit ends after 60 seconds, or earlier when Monte Carlo noise adds little to the measurement errors.
