@@ -70,18 +70,19 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
+const SCHEDULE: &str = "Schedule (sgd and adam)";
+
 /// What only the methods with a fixed schedule are asked.
 #[derive(clap::Args)]
-#[command(next_help_heading = "Schedule (sgd and adam)")]
 struct Schedule {
     /// Camera paths of one iteration, both renders together [default: so that all iterations fit in the limit]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help_heading = SCHEDULE)]
     iteration_paths: Option<u64>,
     /// Iterations of each run [default: 60 for sgd, 200 for adam]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help_heading = SCHEDULE)]
     iterations: Option<u32>,
     /// Learning rates: the multipliers a that sgd tries, or adam's first step [default: 0.25,1,4,16,64,256 or 0.3]
-    #[arg(long, value_name = "A,...", value_delimiter = ',')]
+    #[arg(long, value_name = "A,...", value_delimiter = ',', help_heading = SCHEDULE)]
     rates: Vec<f64>,
 }
 
