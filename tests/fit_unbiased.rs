@@ -17,12 +17,14 @@ fn limit(level: f64) -> f64 {
         .inverse_cdf(1.0 - 0.5 * level)
 }
 
-/// Means over `n` pairs of: paired objective, naive objective of the first render, gradient; and z-scores need truth.
+/// Means over `n` pairs of: paired objective, naive objective of the first render, gradient, naive gradient of the first
+/// render; and z-scores need truth.
 struct Means {
     paired: Running,
     naive: Running,
     reported_variance: Running,
     gradient: Vec<Running>,
+    naive_gradient: Vec<Running>,
 }
 
 fn sample(toy: &Toy, n: u64, paths: u64) -> (Means, f64, Vec<f64>) {
@@ -40,6 +42,7 @@ fn sample(toy: &Toy, n: u64, paths: u64) -> (Means, f64, Vec<f64>) {
         naive: Running::default(),
         reported_variance: Running::default(),
         gradient: vec![Running::default(); 9],
+        naive_gradient: vec![Running::default(); 9],
     };
     for index in 0..n {
         let effort = Effort::Paths(paths);
@@ -70,6 +73,22 @@ fn sample(toy: &Toy, n: u64, paths: u64) -> (Means, f64, Vec<f64>) {
             .iter_mut()
             .zip(objective.gradient(&pair, &at))
         {
+            running.push(g);
+        }
+        let mut naive = vec![0.0; 9];
+        for (([a, _], m), w) in pair
+            .estimates()
+            .zip(objective.intensities())
+            .zip(objective.weights())
+        {
+            for row in 0..at.infos().len() {
+                for c in 0..3 {
+                    let product = (a.mean[c] - m.mean[c]) * a.derivative[row][c];
+                    naive[at.slot(row, c)] += 2.0 * w * product;
+                }
+            }
+        }
+        for (running, g) in means.naive_gradient.iter_mut().zip(naive) {
             running.push(g);
         }
     }
@@ -117,6 +136,17 @@ fn paired_objective_and_gradient_are_unbiased_and_the_naive_square_is_not() {
             running.standard_error()
         );
     }
+    // Negative control: the gradient from one render's own errors fails the same test.
+    let worst = means
+        .naive_gradient
+        .iter()
+        .zip(&gradient)
+        .map(|(running, exact)| z(running, *exact).abs())
+        .fold(0.0, f64::max);
+    assert!(
+        worst > limit,
+        "the naive gradient passed: |z| {worst}, n {n}"
+    );
     // Negative control: the square of one render fails the same test.
     let naive = z(&means.naive, exact);
     assert!(

@@ -25,6 +25,7 @@ use render_scenes::{
 };
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::f64::consts::PI;
+use std::path::Path;
 
 const RUNS: u64 = 32;
 const BOTH: [Integrator; 2] = [Integrator::Fast, Integrator::Basic];
@@ -463,6 +464,41 @@ fn micrometer_and_centimeter_tiles() {
     println!("{}", scores.sentence);
     scores.assert_agree();
     wrong.assert_differ();
+}
+
+/// Lamps in the far tail of every lobe, where values are near the least number there is: with both seeds a product of such a
+/// value once underflowed to zero and was divided by.
+#[test]
+fn lamps_in_the_far_tail_of_every_lobe() {
+    let cloth = goniofit::fabric::load(Path::new("fabrics/gabardine.toml")).unwrap();
+    let mut s = subject(
+        &cloth.tile,
+        Plate::Black,
+        [
+            0.333_429_264_122_308_2,
+            0.006_847_483_096_241_856,
+            0.013_860_879_825_968_19,
+            0.971_748_509_104_208_8,
+            0.848_017_541_195_946_9,
+            0.837_325_294_886_504_2,
+            3.043_846_165_835_601,
+            13.246_804_758_012_379,
+            2.382_737_770_460_365_4,
+        ],
+    );
+    s.options.light = LightShape::default();
+    let turned = |pose: Configuration| Configuration {
+        rotation: 0.5 * PI,
+        ..pose
+    };
+    let poses = [
+        pose(1, [64.0, 0.0], [48.0, 0.0]),
+        turned(pose(2, [64.0, 0.0], [48.0, 0.0])),
+        turned(pose(3, [32.0, 90.0], [32.0, 0.0])),
+    ];
+    for seed in [2, 6] {
+        s.render(Integrator::Fast, &poses, Effort::Paths(30_000), seed);
+    }
 }
 
 /// Between the fibers there is the plate alone: nothing at all when black; albedo times the light's irradiance when diffuse.

@@ -2,7 +2,7 @@
 
 use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
-use crate::base::{Result, Watch};
+use crate::base::{Error, Result, Watch};
 use crate::fit::{Budget, FitResult, Method, Options, fit, refuse_existing};
 use crate::render::{FiberScene, FiberSceneOptions};
 use crate::report::{Provenance, page};
@@ -17,6 +17,12 @@ Examples:
   goniofit fit --measurements session/measurements.csv --fabric fabrics/gabardine.toml --out fit
   goniofit fit --measurements M.csv --fabric F.toml --seed 7 --paths 5000000 --out fit --json
   goniofit fit --measurements M.csv --fabric F.toml --accuracy 1% --time 10m --start fit/fit.json --out finer
+  goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
+  goniofit fit --measurements M.csv --fabric F.toml --method adam --rates 0.2 --iterations 300 --time 10m --out adam
+
+Methods: gauss-newton; sgd, the search of Khungurn et al. 2015 (six learning rates a of 60 iterations each, in rescaled
+parameters; in full size --iteration-paths 8388608 --paths 6200000000); adam (Kingma and Ba 2015). The last two work off a
+fixed schedule: the limit shares out the paths of an iteration, unless --iteration-paths says how many.
 
 Without a limit a fit ends after 60 seconds, or earlier when Monte Carlo noise adds little to the measurement errors.
 The same seed and --paths give the same numbers on any number of threads; a fit limited by time does not repeat exactly.
@@ -47,7 +53,7 @@ pub(crate) struct Asked {
     /// Scattering model
     #[arg(long, default_value = MODEL)]
     pub(crate) model: String,
-    /// How to search
+    /// How to search: gauss-newton, sgd or adam
     #[arg(long, default_value = METHOD)]
     pub(crate) method: String,
     /// Selects the random streams
@@ -68,6 +74,8 @@ pub(crate) struct Asked {
     /// Weighted rms residual above which the model is said not to explain the measurements
     #[arg(long, value_name = "A", value_parser = inputs::fraction, default_value = TOLERANCE)]
     pub(crate) tolerance: f64,
+    #[command(flatten)]
+    pub(crate) schedule: Schedule,
 }
 
 /// What is fitted, and how, when nothing is said.
@@ -75,6 +83,50 @@ pub(crate) const MODEL: &str = "khungurn";
 pub(crate) const METHOD: &str = "gauss-newton";
 pub(crate) const SEED: u64 = 1;
 pub(crate) const TOLERANCE: &str = "5%";
+
+const SCHEDULE: &str = "Schedule (sgd and adam)";
+
+/// What only the methods with a fixed schedule are asked.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct Schedule {
+    /// Camera paths of one iteration, both renders together [default: so that all iterations fit in the limit]
+    #[arg(long, value_name = "N", help_heading = SCHEDULE)]
+    iteration_paths: Option<u64>,
+    /// Iterations of each run [default: 60 for sgd, 200 for adam]
+    #[arg(long, value_name = "N", help_heading = SCHEDULE)]
+    iterations: Option<u32>,
+    /// Learning rates: the multipliers a that sgd tries, or adam's first step [default: 0.25,1,4,16,64,256 or 0.3]
+    #[arg(long, value_name = "A,...", value_delimiter = ',', help_heading = SCHEDULE)]
+    rates: Vec<f64>,
+}
+
+impl Schedule {
+    fn apply(&self, options: &mut Options) -> Result<()> {
+        options.iteration_paths = self.iteration_paths;
+        let asked = self.iterations.is_some() || !self.rates.is_empty();
+        match (options.method, self.rates.as_slice()) {
+            (Method::GaussNewton, _) if asked || self.iteration_paths.is_some() => {
+                return Err(
+                    Error::new("gauss-newton has no schedule of iterations and rates").with_hint(
+                        "--iteration-paths, --iterations and --rates go with --method sgd or adam",
+                    ),
+                );
+            }
+            (Method::Sgd, rates) if !rates.is_empty() => options.sgd.rates = rates.to_vec(),
+            (Method::Adam, [rate]) => options.adam.rate = *rate,
+            (Method::Adam, [_, _, ..]) => {
+                return Err(Error::new("adam takes one learning rate, not a list")
+                    .with_hint("write e.g. --rates 0.3"));
+            }
+            _ => {}
+        }
+        if let Some(iterations) = self.iterations {
+            options.sgd.iterations = iterations;
+            options.adam.iterations = iterations;
+        }
+        Ok(())
+    }
+}
 
 /// Parses `60s`, `5m`, `1h` or plain seconds.
 pub(crate) fn seconds(text: &str) -> Result<f64, String> {
@@ -120,12 +172,13 @@ impl Asked {
     pub(crate) fn read(&self) -> Result<Ready> {
         let model = scatter::model(&self.model)?;
         let start = self.start.as_deref();
-        let options = Options {
+        let mut options = Options {
             method: Method::named(&self.method)?,
             start: start.map(|p| inputs::parameters(p, model)).transpose()?,
             tolerance: self.tolerance,
             ..Options::new(self.seed, self.budget())
         };
+        self.schedule.apply(&mut options)?;
         let (measurements, stated) = Measurements::read_with_origin(&self.measurements)?;
         let (surroundings, of_session) = self.surroundings()?;
         Ok(Ready {
@@ -184,6 +237,14 @@ impl Asked {
         option("paths", self.paths.map(|n| n.to_string()));
         option("accuracy", self.accuracy.map(|a| a.to_string()));
         option("tolerance", Some(self.tolerance.to_string()));
+        let schedule = &self.schedule;
+        option(
+            "iteration-paths",
+            schedule.iteration_paths.map(|n| n.to_string()),
+        );
+        option("iterations", schedule.iterations.map(|n| n.to_string()));
+        let rates: Vec<String> = schedule.rates.iter().map(f64::to_string).collect();
+        option("rates", (!rates.is_empty()).then(|| rates.join(",")));
         option("out", path(out));
         quoted(words.into_iter())
     }

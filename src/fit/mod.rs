@@ -3,13 +3,17 @@
 //! Knows parameters by name and never a concrete model; never sees a port or a photograph. The method in equations, with
 //! what is unbiased and what only consistent, is in docs/fit.md.
 
+mod adam;
 mod choice;
+mod gradient;
 mod information;
 mod linear;
 mod objective;
 mod options;
 mod pool;
 mod predict;
+mod published;
+mod rescaling;
 mod result;
 mod search;
 mod space;
@@ -18,9 +22,12 @@ mod summary;
 mod uncertainty;
 mod validate;
 
+pub use adam::AdamOptions;
 pub use objective::{Objective, PairedValue, RenderPair, TAU, rms_of};
 pub use options::{Budget, Method, Options};
 pub use predict::{Compared, Comparison, Prediction, compare, predict};
+pub use published::{Selection, SgdOptions};
+pub use rescaling::{Increment, RescalingOptions};
 pub use result::{
     ConfigurationResult, Correlation, Cost, FitResult, Iteration, ObjectiveResult, ParameterResult,
     Truth, Verdict, refuse_existing,
@@ -68,7 +75,18 @@ pub fn fit(
     };
     let mut spent = Spent::default();
     let u = space.to_search(&start)?;
-    let found = search::search(&problem, &u, &mut spent, watch)?;
+    let (found, note) = match options.method {
+        Method::GaussNewton => (
+            search::search(&problem, &u, &mut spent, watch)?,
+            String::new(),
+        ),
+        Method::Sgd => published::search(&problem, &u, &mut spent, watch)?,
+        Method::Adam => adam::search(&problem, &u, &mut spent, watch)?,
+    };
     let check = summary::FreshCheck::render(&problem, &found, &mut spent, watch)?;
-    Ok(summary::summarize(&problem, &start, &found, &check, spent))
+    let mut result = summary::summarize(&problem, &start, &found, &check, spent);
+    if !note.is_empty() {
+        result.reason = format!("{} [{note}]", result.reason);
+    }
+    Ok(result)
 }

@@ -1,5 +1,7 @@
 //! What a caller may ask of a fit.
 
+use super::adam::AdamOptions;
+use super::published::SgdOptions;
 use crate::base::{Error, Result};
 use crate::scatter::Parameters;
 
@@ -9,16 +11,22 @@ pub enum Method {
     /// Stochastic Gauss-Newton on fresh render pairs (docs/fit.md).
     #[default]
     GaussNewton,
+    /// The published stochastic gradient descent in rescaled parameters (Khungurn 2015 sec. 5.4, 5.5).
+    Sgd,
+    /// Adam (Kingma and Ba 2015) on the same gradients.
+    Adam,
 }
 
 impl Method {
     /// All methods, the default first.
-    pub const ALL: [Self; 1] = [Self::GaussNewton];
+    pub const ALL: [Self; 3] = [Self::GaussNewton, Self::Sgd, Self::Adam];
 
     /// The name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::GaussNewton => "gauss-newton",
+            Self::Sgd => "sgd",
+            Self::Adam => "adam",
         }
     }
 
@@ -64,6 +72,13 @@ pub struct Options {
     pub start: Option<Parameters>,
     /// A weighted rms residual significantly above this fraction is reported as a model that does not explain the data.
     pub tolerance: f64,
+    /// Camera paths of one iteration of [`Method::Sgd`] or [`Method::Adam`], both renders together. When none, what the
+    /// budget's paths or time allow so that all iterations fit; the published 8.4 million when neither is limited.
+    pub iteration_paths: Option<u64>,
+    /// How [`Method::Sgd`] works.
+    pub sgd: SgdOptions,
+    /// How [`Method::Adam`] works.
+    pub adam: AdamOptions,
 }
 
 impl Options {
@@ -75,6 +90,9 @@ impl Options {
             seed,
             start: None,
             tolerance: 0.05,
+            iteration_paths: None,
+            sgd: SgdOptions::default(),
+            adam: AdamOptions::default(),
         }
     }
 
@@ -100,6 +118,13 @@ impl Options {
         if !(0.0..1e3).contains(&self.tolerance) {
             return Err(Error::new("the tolerance must be a fraction >= 0"));
         }
-        Ok(())
+        if self.iteration_paths == Some(0) {
+            return Err(Error::new("an iteration needs at least one path"));
+        }
+        match self.method {
+            Method::GaussNewton => Ok(()),
+            Method::Sgd => self.sgd.check(),
+            Method::Adam => self.adam.check(),
+        }
     }
 }

@@ -32,7 +32,8 @@ pub struct Iteration {
     pub weighted_rms_se_percent: f64,
     /// Monte Carlo part of the weighted rms error of the fitted means after this iteration, percent.
     pub monte_carlo_percent: f64,
-    /// False when the objective had grown beyond the noise and the search went back.
+    /// False when the search did not go on from here: the objective had grown beyond the noise, or another learning rate
+    /// was better.
     pub accepted: bool,
 }
 

@@ -17,11 +17,11 @@ use crate::base::{Result, Watch};
 use crate::render::{Effort, Scene};
 
 /// Share of the budget for the search; the rest judges the result on fresh pairs.
-const SEARCH_SHARE: f64 = 0.75;
+pub(super) const SEARCH_SHARE: f64 = 0.75;
 /// Farthest a coordinate may move in one step, at first, at least and at most.
 const TRUST: (f64, f64, f64) = (0.8, 0.05, 1.5);
 /// How far from the minimum a coordinate is thought to be when a step is weighed against its noise.
-const REACH: f64 = 0.6;
+pub(super) const REACH: f64 = 0.6;
 /// Growth of the path count from pair to pair while averaging.
 const GROWTH: f64 = 1.5;
 /// The descent ends when the mean of this many objectives is not clearly below that of as many before.
@@ -42,6 +42,7 @@ const BESIDE_MEASUREMENT: f64 = 0.3;
 pub(super) enum Stop {
     Accuracy,
     BesideMeasurement,
+    Schedule,
     Paths,
     Time,
     Cancelled,

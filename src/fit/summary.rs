@@ -232,6 +232,7 @@ fn verdict(
     let ended = match found.stop {
         Stop::Accuracy => "the accuracy asked for was reached",
         Stop::BesideMeasurement => "Monte Carlo noise is small beside the measurement errors",
+        Stop::Schedule => "all iterations of the schedule were made",
         Stop::Paths => "the paths were used up",
         Stop::Time => "the time was used up",
         Stop::Cancelled => "the fit was interrupted",

@@ -293,7 +293,8 @@ impl Stage<'_> {
                 wi,
                 wo: o.wo,
                 h: o.h,
-                factor: factor * sum / (worth * odds),
+                // Not over worth * odds, which may underflow to zero.
+                factor: factor * (sum / worth) / odds,
                 evaluation: &evaluation,
             };
             visitor.connect(leg.depth, index, event);

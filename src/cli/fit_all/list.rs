@@ -273,6 +273,7 @@ impl Combination<'_> {
                 paths: o.paths,
                 accuracy: read(&o.accuracy, "accuracy", inputs::fraction)?,
                 tolerance,
+                schedule: fit::Schedule::default(),
             },
         })
     }
