@@ -13,6 +13,7 @@ use goniofit::base::{Error, Result, Unwatched, Watch};
 use goniofit::rig::{Camera, CameraWiring, Clock, Gphoto2Camera};
 use std::cell::RefCell;
 use std::fs;
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -113,7 +114,8 @@ impl Program {
             clock: Arc::new(FastClock::default()),
             said: RefCell::default(),
         };
-        fs::copy(Path::new(DATA).join("gphoto2"), program.path("gphoto2")).unwrap();
+        // A link, not a copy: what this process has just written cannot be run while another thread is starting a program.
+        symlink(Path::new(DATA).join("gphoto2"), program.path("gphoto2")).unwrap();
         fs::write(program.path("transcript"), transcript).unwrap();
         fs::write(program.path("whole"), "RAW pixels END").unwrap();
         fs::write(program.path("torn"), "RAW pix").unwrap();
