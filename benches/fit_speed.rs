@@ -225,6 +225,7 @@ impl Case {
         let reference = Reference {
             configs: estimates.configurations.iter().map(converged).collect(),
         };
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(
             path,
             serde_json::to_string_pretty(&reference).unwrap() + "\n",
