@@ -73,6 +73,10 @@ fn intervals_hold(scene: &FiberScene, parameters: &Parameters, accuracy: f64, ru
                 squares[3 * i + c].push(z * z);
             }
         }
+        if run % 25 == 0 {
+            let [least, most] = [held.iter().min(), held.iter().max()].map(Option::unwrap);
+            println!("{run} of {runs} runs: {least} to {most} held");
+        }
     }
     println!(
         "{runs} runs, weighted rms error {:.3} %, {:.1} CPU s each",

@@ -17,7 +17,7 @@ use crate::base::{Result, Watch};
 use crate::render::{Effort, Scene};
 
 /// Share of the budget for the search; the rest judges the result on fresh pairs.
-pub(super) const SEARCH_SHARE: f64 = 0.75;
+pub(super) const SEARCH_SHARE: f64 = 0.8;
 /// Farthest a coordinate may move in one step, at first, at least and at most.
 const TRUST: (f64, f64, f64) = (0.8, 0.05, 1.5);
 /// How far from the minimum a coordinate is thought to be when a step is weighed against its noise.
@@ -28,10 +28,14 @@ const GROWTH: f64 = 1.5;
 const TREND: usize = 3;
 /// How many pairs are averaged: with the growth above the last three hold 70 % of all paths.
 const AVERAGED: usize = 3;
+/// An objective of at most this many standard errors ends the descent too.
+const LOST: f64 = 2.0;
 /// The descent takes at most this share of the budget.
 const DESCENT_SHARE: f64 = 0.45;
-/// Camera paths of the first pair, per configuration.
-const FIRST_PATHS: u64 = 12_000;
+/// Camera paths of the first pair, per configuration: far away a rough step is as good as a fine one.
+const FIRST_PATHS: u64 = 2_000;
+/// Camera paths of the descent's other pairs, per configuration.
+const DESCENT_PATHS: u64 = 12_000;
 /// No iteration takes more than this share of the search's budget.
 const LARGEST_SHARE: f64 = 0.25;
 /// Monte Carlo error that no longer matters, as a fraction of the measurements' part of the error.
@@ -310,7 +314,7 @@ pub(super) fn search(
     let mut state = State::new(problem, start);
     let mut history: Vec<Iteration> = Vec::new();
     let mut shares = vec![1.0; n_configurations];
-    let mut paths = first_paths(&options.budget, n_configurations);
+    let mut paths = at_most(FIRST_PATHS, &options.budget, n_configurations);
     let mut last: Option<Found> = None;
     for index in 0.. {
         let stretch = stretch(&options.budget, spent, paths, watch);
@@ -362,9 +366,14 @@ pub(super) fn search(
             break;
         }
         if state.descending
-            && (!state.still_falls() || spent.left(&options.budget, DESCENT_SHARE) == Some(0))
+            && (value.value <= LOST * value.standard_error
+                || !state.still_falls()
+                || spent.left(&options.budget, DESCENT_SHARE) == Some(0))
         {
             state.descending = false;
+        }
+        if state.descending {
+            paths = at_most(DESCENT_PATHS, &options.budget, n_configurations);
         }
         let stop = if let (true, Some(stop)) = (settled, enough) {
             Some(stop)
@@ -390,8 +399,9 @@ pub(super) fn search(
     Ok(found)
 }
 
-fn first_paths(budget: &Budget, n_configurations: usize) -> u64 {
-    let usual = FIRST_PATHS * n_configurations as u64;
+/// Camera paths of a pair with `each` for each configuration, but no more than a twentieth of the budget.
+fn at_most(each: u64, budget: &Budget, n_configurations: usize) -> u64 {
+    let usual = each * n_configurations as u64;
     let least = 64 * n_configurations as u64;
     budget
         .paths
