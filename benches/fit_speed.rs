@@ -36,6 +36,9 @@ const FABRICS: [(&str, &str); 4] = [
     ("plain_cotton", "cotton"),
 ];
 
+/// Truth of the recorded session: parameters and converged means.
+const RECORDED: &str = "mocks/khungurn16_gabardine/truth.json";
+
 /// Residuals whose time is asked for, percent.
 const TARGETS: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
 
@@ -162,6 +165,17 @@ fn report(row: &Row, json: bool) {
     );
 }
 
+/// What the reference was rendered with, as a parameter file's object: gabardine's stands with the recorded session.
+fn true_parameters(fabric: &str, fibers: &str) -> serde_json::Value {
+    let read = |file: PathBuf| -> serde_json::Value {
+        serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()
+    };
+    match fabric {
+        "gabardine" => read(root().join(RECORDED))["parameters"].take(),
+        _ => read(root().join(format!("fabrics/params/{fibers}.json"))),
+    }
+}
+
 /// A fabric with known fibers.
 struct Case {
     fabric: &'static str,
@@ -175,8 +189,7 @@ impl Case {
         let path = root().join(format!("fabrics/{fabric}.toml"));
         let tile = goniofit::fabric::load(&path).unwrap().tile;
         let model = scatter::model("khungurn").unwrap();
-        let file = root().join(format!("fabrics/params/{fibers}.json"));
-        let values = serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
+        let values = true_parameters(fabric, fibers);
         let plan = Plan::read(&root().join("rig_configs/plans/khungurn16.toml")).unwrap();
         Self {
             fabric,
@@ -198,7 +211,7 @@ impl Case {
 
     fn reference_path(&self) -> PathBuf {
         match self.fabric {
-            "gabardine" => root().join("mocks/khungurn16_gabardine/truth.json"),
+            "gabardine" => root().join(RECORDED),
             name => root().join(format!("benches/references/{name}.json")),
         }
     }
