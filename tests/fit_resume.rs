@@ -87,6 +87,7 @@ impl Trial {
             ..Options::new(toy::seed(7), budget)
         };
         // The published schedule, small.
+        options.sgd.rates = vec![1.0, 4.0, 16.0];
         options.sgd.iterations = 3;
         options.sgd.final_iterations = 2;
         options.sgd.rescaling.knots = 3;
@@ -169,11 +170,10 @@ fn cut_after_any_line_a_fit_goes_on_to_the_same_result() {
                 );
             }
         }
-        // Negative control: one bit of one mean in the first pair changes what comes out.
+        // Negative control: one mean of the first pair, changed by a billionth.
         let number = lines[1].split("\"mean\":[[").nth(1).unwrap();
         let number = number.split(',').next().unwrap();
-        let bits = number.parse::<f64>().unwrap().to_bits() ^ 1;
-        let other = f64::from_bits(bits).to_string();
+        let other = (number.parse::<f64>().unwrap() * (1.0 + 1e-9)).to_string();
         trial.write(&lines.concat().replacen(number, &other, 1));
         let changed = trial.fit(
             &scene,
@@ -182,7 +182,7 @@ fn cut_after_any_line_a_fit_goes_on_to_the_same_result() {
         );
         assert!(
             changed.map_or(true, |r| text(&r) != text(&whole)),
-            "{method:?}: the test cannot see a changed bit"
+            "{method:?}: the test cannot see a changed number"
         );
     }
 }
@@ -195,7 +195,11 @@ fn interrupted_anywhere_a_fit_keeps_the_best_and_goes_on() {
         let whole = trial.fit(&scene, &trial.options, &trial.begin()).unwrap();
         let renders = scene.rendered();
         let mut with_result = 0;
-        for interrupt_after in 0..renders {
+        // An odd stride: the first render of a pair and the second.
+        let stride = if method == Method::Sgd { 3 } else { 1 };
+        let mut tried = 0;
+        for interrupt_after in (0..renders).step_by(stride) {
+            tried += 1;
             let scene = Counted::new(interrupt_after);
             let journal = trial.begin();
             match trial.fit(&scene, &trial.options, &journal) {
@@ -227,8 +231,8 @@ fn interrupted_anywhere_a_fit_keeps_the_best_and_goes_on() {
             );
         }
         assert!(
-            with_result > renders / 4,
-            "{method:?}: {with_result} of {renders}"
+            with_result > tried / 4,
+            "{method:?}: {with_result} of {tried}"
         );
     }
 }
@@ -237,16 +241,19 @@ fn interrupted_anywhere_a_fit_keeps_the_best_and_goes_on() {
 fn other_limits_give_the_result_of_a_fit_begun_with_them() {
     for (method, reused_at_least) in [
         (Method::GaussNewton, 3),
-        (Method::Sgd, 20),
+        (Method::Sgd, 25),
         (Method::Adam, 8),
     ] {
         let mut trial = Trial::new(method);
-        if method != Method::GaussNewton {
+        if method == Method::GaussNewton {
+            // So many that the first pairs do not depend on them.
+            trial.options.budget.paths = Some(20_000_000);
+        } else {
             trial.options.iteration_paths = Some(20_000);
         }
         let short = trial.options.clone();
         let mut long = short.clone();
-        long.budget.paths = Some(6_000_000);
+        long.budget.paths = short.budget.paths.map(|n| 2 * n);
         let fresh = {
             let journal = trial.begin();
             trial.fit(&Counted::new(ALWAYS), &long, &journal).unwrap()

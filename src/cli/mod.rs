@@ -18,6 +18,7 @@ mod calibrate;
 mod calibrate_color;
 mod calibrate_geometry;
 mod capture;
+mod chart;
 mod crops;
 mod demo;
 mod doctor;
@@ -83,6 +84,7 @@ enum Command {
     Fabric(fabric::Arguments),
     Predict(predict::Arguments),
     Validate(validate::Arguments),
+    Chart(chart::Arguments),
     Report(report::Arguments),
 }
 
@@ -121,6 +123,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Fabric(a) => fabric::run(a),
         Command::Predict(a) => predict::run(a),
         Command::Validate(a) => validate::run(a),
+        Command::Chart(a) => chart::run(a),
         Command::Report(a) => report::run(a),
     }
 }
