@@ -51,8 +51,8 @@ fn legend(area: &Area<'_>, methods: &[&str]) {
         let text = Text::new((*method).to_owned(), (x + 42, 5), (FONT, 14));
         area.draw(&text).unwrap();
     }
-    let note = "left: median over seeds, bars from fastest to slowest (to the top: not all seeds arrived, k/n did; hollow: fewer \
-                than half, the fastest)";
+    let note = "left: median over seeds, bars from fastest to slowest (to the top: not all seeds arrived, k/n did; hollow: half \
+                or fewer, the fastest)";
     area.draw(&Text::new(note, (60, 30), (FONT, 12))).unwrap();
 }
 
@@ -108,30 +108,32 @@ fn times(
         .margin(8)
         .x_label_area_size(38)
         .y_label_area_size(52)
-        .build_cartesian_2d((0.4..13.0).log_scale(), seconds.log_scale())
+        .build_cartesian_2d(-0.5..TARGETS.len() as f64 - 0.5, seconds.log_scale())
         .unwrap();
     chart
         .configure_mesh()
+        .disable_x_mesh()
+        .x_labels(2 * TARGETS.len())
         .x_desc("weighted rms residual, %")
         .y_desc("CPU seconds")
         .label_style((FONT, 12))
         .light_line_style(BLACK.mix(0.05))
         .bold_line_style(BLACK.mix(0.15))
-        .x_label_formatter(&|v| short(*v))
+        .x_label_formatter(&|x| at_place(*x, &TARGETS.map(|t| t.to_string())))
         .y_label_formatter(&|v| short(*v))
         .draw()
         .unwrap();
     for (k, method) in methods.iter().enumerate() {
         let color = COLORS[k % COLORS.len()];
         let (mut line, mut marks) = (Vec::new(), Vec::new());
-        for target in TARGETS {
+        for (place, target) in TARGETS.into_iter().enumerate() {
             let seconds = seconds_to(rows, method, target);
             let arrived = seconds.iter().filter(|s| s.is_finite()).count();
             if arrived == 0 {
                 continue;
             }
             // Beside each other, so that bars do not hide bars.
-            let x = target * 1.05_f64.powf(k as f64 - 0.5 * (methods.len() as f64 - 1.0));
+            let x = place as f64 + 0.07 * (k as f64 - 0.5 * (methods.len() as f64 - 1.0));
             let middle = median(&seconds);
             let slowest = seconds[seconds.len() - 1].min(top);
             let bar = PathElement::new([(x, seconds[0]), (x, slowest)], color.stroke_width(1));
@@ -169,11 +171,7 @@ fn parameters(area: &Area<'_>, methods: &[&str], rows: &[&Row], errors: std::ops
         .y_label_area_size(52)
         .build_cartesian_2d(-0.5..n - 0.5, errors.log_scale())
         .unwrap();
-    let name = |x: &f64| {
-        let near = methods.get(x.round().max(0.0) as usize);
-        near.filter(|_| (x - x.round()).abs() < 1e-6)
-            .map_or_else(String::new, |m| (*m).to_owned())
-    };
+    let names: Vec<String> = methods.iter().map(|m| (*m).to_owned()).collect();
     chart
         .configure_mesh()
         .disable_x_mesh()
@@ -182,7 +180,7 @@ fn parameters(area: &Area<'_>, methods: &[&str], rows: &[&Row], errors: std::ops
         .light_line_style(BLACK.mix(0.05))
         .bold_line_style(BLACK.mix(0.15))
         .x_labels(2 * methods.len())
-        .x_label_formatter(&name)
+        .x_label_formatter(&|x| at_place(*x, &names))
         .y_label_formatter(&|v| short(*v))
         .draw()
         .unwrap();
@@ -210,6 +208,13 @@ fn parameters(area: &Area<'_>, methods: &[&str], rows: &[&Row], errors: std::ops
             chart.draw_series([bar]).unwrap();
         }
     }
+}
+
+/// The name at a whole number of an axis of names.
+fn at_place(x: f64, names: &[String]) -> String {
+    let near = names.get(x.round().max(0.0) as usize);
+    let exact = (x - x.round()).abs() < 1e-6;
+    near.filter(|_| exact).cloned().unwrap_or_default()
 }
 
 /// A logarithmic axis around positive values, a little wider than they are.

@@ -3,10 +3,15 @@
 use super::output::data;
 use super::{Outcome, inputs};
 use crate::base::{Error, Result};
-use crate::fit::FitResult;
+use crate::fit::{FitResult, Iteration, PairedValue, rms_of};
 use crate::report::{Course, CoursePoint, convergence_chart};
 use crate::session::files;
 use std::path::PathBuf;
+
+/// Iterations that a drawing shows one by one.
+const MANY: usize = 60;
+/// Otherwise their means over stretches of time that grow so.
+const STRETCH: f64 = 1.12;
 
 /// How fits converged: residual against CPU seconds, several fits on one chart
 #[derive(clap::Args)]
@@ -17,7 +22,8 @@ Examples:
   goniofit chart fits/* --json
 
 Prints a line per iteration (CSV), the final check last. Residuals are those of every iteration's own renders, with one
-standard error. CPU seconds of an iteration are its share of the fit's, by seconds of rendering.")]
+standard error. CPU seconds of an iteration are its share of the fit's, by seconds of rendering. Of more than 60 iterations the
+drawing shows means over neighbors that the search went on from.")]
 pub(crate) struct Arguments {
     /// Fits: fit.json, or the folders that hold them
     #[arg(required = true, value_name = "FIT")]
@@ -37,15 +43,22 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     if let Some(svg) = &a.svg {
         inputs::refuse_overwriting(svg, a.force)?;
     }
-    let read = |path: &PathBuf| course(path.display().to_string(), &inputs::fit_result(path)?);
-    let courses: Vec<Course> = a.fits.iter().map(read).collect::<Result<_>>()?;
+    let read = |path: &PathBuf| {
+        let fit = inputs::fit_result(path)?;
+        let course = course(path.display().to_string(), &fit)?;
+        let drawn = smoothed(&course, &fit);
+        Ok((course, drawn))
+    };
+    let fits = a.fits.iter().map(read).collect::<Result<Vec<_>>>()?;
+    let courses: Vec<&Course> = fits.iter().map(|(course, _)| course).collect();
     if a.json {
         print_json(&courses);
     } else {
         print_csv(&courses);
     }
     if let Some(svg) = &a.svg {
-        files::write_atomic(svg, convergence_chart(&courses).as_bytes())?;
+        let drawn: Vec<Course> = fits.iter().map(|(_, drawn)| drawn.clone()).collect();
+        files::write_atomic(svg, convergence_chart(&drawn).as_bytes())?;
     }
     Ok(Outcome::Done)
 }
@@ -77,7 +90,40 @@ fn course(path: String, fit: &FitResult) -> Result<Course> {
     })
 }
 
-fn print_csv(courses: &[Course]) {
+/// The course as it is drawn: where there are many iterations, those the search went on from, and their means over stretches of
+/// time, before the root is taken.
+fn smoothed(course: &Course, fit: &FitResult) -> Course {
+    if course.points.len() <= MANY {
+        return course.clone();
+    }
+    let all = course.points.iter().zip(&fit.history);
+    let kept: Vec<(&CoursePoint, &Iteration)> = all.filter(|(p, _)| p.accepted).collect();
+    let together = |(a, _): &(&CoursePoint, &Iteration), (b, _): &(&CoursePoint, &Iteration)| {
+        let stretch = |p: &CoursePoint| (p.cpu_s.ln() / STRETCH.ln()).floor() as i64;
+        stretch(a) == stretch(b)
+    };
+    let mean = |group: &[(&CoursePoint, &Iteration)]| {
+        let n = group.len() as f64;
+        let sum = |of: fn(&Iteration) -> f64| group.iter().map(|(_, h)| of(h)).sum::<f64>();
+        let value = PairedValue {
+            value: sum(|h| h.paired_objective) / n,
+            standard_error: sum(|h| h.paired_objective_se.powi(2)).sqrt() / n,
+        };
+        let (rms, se) = rms_of(value, fit.objective.n);
+        CoursePoint {
+            cpu_s: group.iter().map(|(p, _)| p.cpu_s).sum::<f64>() / n,
+            residual_percent: 100.0 * rms,
+            se_percent: 100.0 * se,
+            accepted: true,
+        }
+    };
+    Course {
+        points: kept.chunk_by(together).map(mean).collect(),
+        ..course.clone()
+    }
+}
+
+fn print_csv(courses: &[&Course]) {
     data!("fit,iteration,cpu_s,weighted_rms_percent,weighted_rms_se_percent,accepted");
     for course in courses {
         let name = course.name.replace('"', "\"\"");
@@ -97,7 +143,7 @@ fn print_csv(courses: &[Course]) {
     }
 }
 
-fn print_json(courses: &[Course]) {
+fn print_json(courses: &[&Course]) {
     let point = |p: &CoursePoint| {
         serde_json::json!({
             "cpu_s": p.cpu_s,
@@ -106,7 +152,7 @@ fn print_json(courses: &[Course]) {
             "accepted": p.accepted,
         })
     };
-    let one = |c: &Course| {
+    let one = |c: &&Course| {
         let points: Vec<_> = c.points.iter().map(point).collect();
         serde_json::json!({ "fit": c.name, "iterations": points, "check": point(&c.end) })
     };

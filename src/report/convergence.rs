@@ -30,6 +30,8 @@ pub struct CoursePoint {
 
 const WIDTH: f64 = 680.0;
 const HEIGHT: f64 = 420.0;
+/// White paper, whatever the reader's screen prefers.
+const LIGHT: &str = ":root{color-scheme:light;--ink:#1f2328;--soft:#646b73;--line:#dcd9d3}\n";
 /// Height of one line of the legend.
 const LINE: f64 = 17.0;
 
@@ -126,7 +128,8 @@ fn outline(mark: usize, x: f64, y: f64, r: f64) -> String {
     }
 }
 
-/// An SVG file: weighted rms residual with bars of one standard error against CPU seconds, both logarithmic. A hollow mark is an
+/// An SVG file: weighted rms residual with bars of one standard error against CPU seconds, both logarithmic. Where it is below the axis
+/// there is only the bar. A hollow mark is an
 /// iteration that the search did not go on from, the large one the final check on fresh renders.
 pub fn convergence_chart(courses: &[Course]) -> String {
     let height = HEIGHT + LINE * courses.len() as f64;
@@ -161,13 +164,18 @@ pub fn convergence_chart(courses: &[Course]) -> String {
         let top = HEIGHT + LINE * k as f64;
         legend(&mut d, course, &Look::of(k), top);
     }
-    d.finish_file(&(STYLE.to_owned() + ":root{color-scheme:light}"))
+    d.finish_file(&(STYLE.to_owned() + LIGHT))
 }
 
 fn draw(d: &mut Drawing, course: &Course, look: &Look, x: &Axis, y: &Axis) {
     let place = |p: &CoursePoint| (x.at(p.cpu_s), y.at(p.residual_percent));
-    let gone_on = course.points.iter().filter(|p| p.accepted);
-    let line: Vec<(f64, f64)> = gone_on.chain([&course.end]).map(place).collect();
+    // What is not above the axis is within its error of zero: its bar says how far up.
+    let shown = |p: &&CoursePoint| p.residual_percent > y.low;
+    let gone_on = course.points.iter().filter(|p| p.accepted && shown(p));
+    let line: Vec<(f64, f64)> = gone_on
+        .chain([&course.end].into_iter().filter(shown))
+        .map(place)
+        .collect();
     look.line(d, &line);
     let last = course.points.len();
     for (i, p) in course.points.iter().chain([&course.end]).enumerate() {
@@ -178,6 +186,9 @@ fn draw(d: &mut Drawing, course: &Course, look: &Look, x: &Axis, y: &Axis) {
             y.at(p.residual_percent - p.se_percent),
             y.at(p.residual_percent + p.se_percent),
         );
+        if !shown(&p) {
+            continue;
+        }
         let what = if i == last {
             "final check"
         } else {
