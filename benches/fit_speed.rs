@@ -1,6 +1,7 @@
 //! Time from the published start to a given residual, for each fitting method on the demo fabrics with noise-free truth.
 //!
-//! `cargo bench --bench fit_speed [-- --quick] [--json] [--only FABRIC] [--method M] [--seeds N] [--time S] [--make-references]`
+//! `cargo bench --bench fit_speed [-- --quick] [--json] [--only FABRIC] [--method M] [--seeds N] [--time S] [--make-references]
+//! [--chart] [--from runs.jsonl] [--out CHART.svg]`
 //!
 //! The measurements are converged renders at published parameters (`benches/references/`, weighted rms error about 0.2 %, made
 //! once by `--make-references`; gabardine's is the truth of the recorded session in `mocks/`). Each run fits them with its own
@@ -9,6 +10,9 @@
 //! for the iterate and the truth, so that their noise cancels; where these paths may not be trusted a small fresh pair says it
 //! to a few percent. Seconds count rendering of the search and, in `total`, of the final check too.
 //!
+//! Rows are kept in `benches/runs/DATE_fit_speed.jsonl` as they come, those of `--quick` excepted. `--chart` draws them to
+//! `docs/charts/fit_speed.svg`; with `--from FILE` it draws kept rows and runs nothing.
+//!
 //! `--quick`: one fabric, two seeds, 30 s each. Times depend on the machine and its load, which is printed.
 #![allow(
     clippy::unwrap_used,
@@ -16,6 +20,9 @@
     clippy::print_stderr,
     missing_docs
 )]
+
+#[path = "fit_speed/chart.rs"]
+mod chart;
 
 use goniofit::base::Unwatched;
 use goniofit::fit::{Budget, FitResult, Method, Objective, Options, RenderPair, fit, rms_of};
@@ -36,6 +43,9 @@ const FABRICS: [(&str, &str); 4] = [
     ("plain_cotton", "cotton"),
 ];
 
+/// Truth of the recorded session: parameters and converged means.
+const RECORDED: &str = "mocks/khungurn16_gabardine/truth.json";
+
 /// Residuals whose time is asked for, percent.
 const TARGETS: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
 
@@ -47,7 +57,7 @@ const JUDGE: f64 = 0.01;
 const TAU: f64 = 0.02;
 
 /// One target of one run.
-#[derive(Serialize, Clone)]
+#[derive(Serialize, Deserialize, Clone)]
 struct Row {
     method: String,
     fabric: String,
@@ -107,11 +117,19 @@ fn load() -> f64 {
 
 fn main() {
     let arguments = Arguments(std::env::args().collect());
+    let date = goniofit::rig::utc_now()[..10].to_owned();
+    if let Some(from) = arguments.value("--from") {
+        let name = Path::new(from).file_name().unwrap().to_string_lossy();
+        let dated = name.split('_').next().unwrap_or(&date);
+        draw(&kept(Path::new(from)), dated, &arguments);
+        return;
+    }
     let quick = arguments.has("--quick");
     let seeds: u64 =
         (arguments.value("--seeds")).map_or(if quick { 2 } else { 10 }, |n| n.parse().unwrap());
     let time: f64 = (arguments.value("--time")).map_or(30.0, |t| t.parse().unwrap());
     let only = arguments.value("--only").or(quick.then_some("gabardine"));
+    let mut rows = Vec::new();
     for (fabric, fibers) in FABRICS {
         if only.is_some_and(|o| o != fabric) {
             continue;
@@ -132,10 +150,42 @@ fn main() {
             for seed in 1..=seeds {
                 for row in judge.run(method, seed, time) {
                     report(&row, arguments.has("--json"));
+                    if !quick {
+                        keep(&row, &date);
+                    }
+                    rows.push(row);
                 }
             }
         }
     }
+    if arguments.has("--chart") {
+        draw(&rows, &date, &arguments);
+    }
+}
+
+fn draw(rows: &[Row], date: &str, arguments: &Arguments) {
+    let usual = root().join("docs/charts/fit_speed.svg");
+    let file = arguments.value("--out").map_or(usual, PathBuf::from);
+    chart::draw(rows, date, &file);
+    eprintln!("wrote {}", file.display());
+}
+
+/// Rows of an earlier run; lines that are none (of another program's output) are passed over.
+fn kept(file: &Path) -> Vec<Row> {
+    let text = std::fs::read_to_string(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    let rows = text.lines().filter_map(|l| serde_json::from_str(l).ok());
+    rows.collect()
+}
+
+/// Adds a row to the day's.
+fn keep(row: &Row, date: &str) {
+    use std::io::Write;
+    let path = root().join(format!("benches/runs/{date}_fit_speed.jsonl"));
+    let file = std::fs::File::options()
+        .create(true)
+        .append(true)
+        .open(path);
+    writeln!(file.unwrap(), "{}", serde_json::to_string(row).unwrap()).unwrap();
 }
 
 fn report(row: &Row, json: bool) {
@@ -162,6 +212,17 @@ fn report(row: &Row, json: bool) {
     );
 }
 
+/// What the reference was rendered with, as a parameter file's object: gabardine's stands with the recorded session.
+fn true_parameters(fabric: &str, fibers: &str) -> serde_json::Value {
+    let read = |file: PathBuf| -> serde_json::Value {
+        serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()
+    };
+    match fabric {
+        "gabardine" => read(root().join(RECORDED))["parameters"].take(),
+        _ => read(root().join(format!("fabrics/params/{fibers}.json"))),
+    }
+}
+
 /// A fabric with known fibers.
 struct Case {
     fabric: &'static str,
@@ -175,8 +236,7 @@ impl Case {
         let path = root().join(format!("fabrics/{fabric}.toml"));
         let tile = goniofit::fabric::load(&path).unwrap().tile;
         let model = scatter::model("khungurn").unwrap();
-        let file = root().join(format!("fabrics/params/{fibers}.json"));
-        let values = serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
+        let values = true_parameters(fabric, fibers);
         let plan = Plan::read(&root().join("rig_configs/plans/khungurn16.toml")).unwrap();
         Self {
             fabric,
@@ -198,7 +258,7 @@ impl Case {
 
     fn reference_path(&self) -> PathBuf {
         match self.fabric {
-            "gabardine" => root().join("mocks/khungurn16_gabardine/truth.json"),
+            "gabardine" => root().join(RECORDED),
             name => root().join(format!("benches/references/{name}.json")),
         }
     }

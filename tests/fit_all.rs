@@ -301,3 +301,60 @@ fn two_processes_share_a_list_and_a_killed_one_is_noticed() {
     let tries: Vec<usize> = ids.iter().map(|id| place.tries("out", id)).collect();
     assert_eq!(tries, [2, 1, 1, 1]);
 }
+
+/// The published descent and Adam, each on a schedule of its own.
+const SCHEDULES: &str = "measurements = ['m1.csv']\nfabrics = ['net.toml']\n\
+    [[options]]\nname = 'published'\nmethod = 'sgd'\niteration_paths = 2000\niterations = 5\nrates = [1, 16.0]\npaths = 400000\n\
+    [[options]]\nname = 'adam'\nmethod = 'adam'\niterations = 25\nrates = [0.2]\npaths = 100000\n";
+
+#[test]
+fn a_killed_task_goes_on_from_its_renders_on_its_own_schedule() {
+    let place = Place::new(SCHEDULES);
+    let ids = place.ids();
+    assert!(place.run("fresh", &[]).0 <= 1);
+    let iterations = |id: &str| {
+        place.numbers("fresh", id)["history"]
+            .as_array()
+            .unwrap()
+            .len()
+    };
+    // Two runs of five and the last ten; Adam's own number.
+    assert_eq!([iterations(&ids[0]), iterations(&ids[1])], [20, 25]);
+
+    let running = place.start("out", &["--task", "0"]);
+    let journal = place.at("out").join(&ids[0]).join("renders.jsonl");
+    let begun = std::time::Instant::now();
+    while std::fs::read_to_string(&journal).map_or(0, |t| t.lines().count()) < 20 {
+        assert!(begun.elapsed() < fit_list::PATIENCE);
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    running.signal(Signal::KILL);
+    drop(running);
+    assert_eq!(place.states("out")[0], "failed");
+    assert!(place.run("out", &["--retry"]).0 <= 1);
+    for id in &ids {
+        assert_eq!(place.numbers("out", id), place.numbers("fresh", id));
+    }
+    let log = place.read(&format!("out/{}/log.txt", ids[0]));
+    let resumed = log.split("going on with ").nth(1).unwrap();
+    let pairs: usize = resumed.split(' ').next().unwrap().parse().unwrap();
+    assert!((18..73).contains(&pairs), "{pairs} pairs");
+
+    // More paths in the list: done again, with what was rendered; other rates are another fit.
+    place.write("work.toml", &SCHEDULES.replace("400000", "500000"));
+    assert!(place.run("out", &[]).0 <= 1);
+    let log = place.read(&format!("out/{}/log.txt", ids[0]));
+    assert_eq!(log.matches("going on with ").count(), 2, "{log}");
+    place.write("work.toml", &SCHEDULES.replace("16.0", "8.0"));
+    let row = &place.status("out")[0];
+    assert!(
+        row["note"].as_str().unwrap().ends_with(": options"),
+        "{row}"
+    );
+    assert!(place.run("out", &[]).0 <= 1);
+    let log = place.read(&format!("out/{}/log.txt", ids[0]));
+    assert!(
+        log.contains("from the start, because of other options (16.0 then, 8.0 now)"),
+        "{log}"
+    );
+}

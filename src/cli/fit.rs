@@ -1,13 +1,16 @@
 //! `goniofit fit`.
 
+pub(crate) mod resume;
+
 use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
 use crate::base::{Error, Result, Watch};
-use crate::fit::{Budget, FitResult, Method, Options, fit, refuse_existing};
-use crate::render::{FiberScene, FiberSceneOptions};
+use crate::fit::{Budget, FitResult, Journal, Method, Options, fit_with_journal};
+use crate::render::{FiberScene, FiberSceneOptions, Scene};
 use crate::report::{Provenance, page};
 use crate::scatter;
 use crate::session::{Measurements, files};
+use resume::{Begun, What};
 use std::path::{Path, PathBuf};
 
 /// Find the model parameters that reproduce measured intensities
@@ -18,6 +21,8 @@ Examples:
   goniofit fit --measurements M.csv --fabric F.toml --seed 7 --paths 5000000 --out fit --json
   goniofit fit --measurements M.csv --fabric F.toml --accuracy 1% --time 10m --start fit/fit.json --out finer
   goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
+  goniofit fit --resume published
+  goniofit fit --resume fit --time 10m
   goniofit fit --measurements M.csv --fabric F.toml --method adam --rates 0.2 --iterations 300 --time 10m --out adam
 
 Methods: gauss-newton; sgd, the search of Khungurn et al. 2015 (six learning rates a of 60 iterations each, in rescaled
@@ -26,13 +31,17 @@ fixed schedule: the limit shares out the paths of an iteration, unless --iterati
 
 Without a limit a fit ends after 60 seconds, or earlier when Monte Carlo noise adds little to the measurement errors.
 The same seed and --paths give the same numbers on any number of threads; a fit limited by time does not repeat exactly.
-Writes fit.json and report.html into --out. Exit code 1: finished, but not converged; fit.json says why.")]
+Writes fit.json, report.html and renders.jsonl, all render pairs, into --out. --resume goes on from that file after an
+interrupt or a crash, to the same result. Limits given with it replace all earlier ones: the result is that of a fit begun
+with them, and every pair that it shares with the earlier one is not rendered again.
+Exit code 1: finished, but not converged, or interrupted with the best so far; fit.json says why. 130: interrupted before
+there was any result.")]
 pub(crate) struct Arguments {
     #[command(flatten)]
-    asked: Asked,
-    /// Folder for fit.json and report.html
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    what: What,
+    /// Folder for fit.json, report.html and renders.jsonl
+    #[arg(long, value_name = "DIR", required_unless_present = "resume")]
+    out: Option<PathBuf>,
     /// Replace an earlier fit in --out
     #[arg(long)]
     force: bool,
@@ -91,16 +100,26 @@ const SCHEDULE: &str = "Schedule (sgd and adam)";
 pub(crate) struct Schedule {
     /// Camera paths of one iteration, both renders together [default: so that all iterations fit in the limit]
     #[arg(long, value_name = "N", help_heading = SCHEDULE)]
-    iteration_paths: Option<u64>,
+    pub(crate) iteration_paths: Option<u64>,
     /// Iterations of each run [default: 60 for sgd, 200 for adam]
     #[arg(long, value_name = "N", help_heading = SCHEDULE)]
-    iterations: Option<u32>,
+    pub(crate) iterations: Option<u32>,
     /// Learning rates: the multipliers a that sgd tries, or adam's first step [default: 0.25,1,4,16,64,256 or 0.3]
     #[arg(long, value_name = "A,...", value_delimiter = ',', help_heading = SCHEDULE)]
-    rates: Vec<f64>,
+    pub(crate) rates: Vec<f64>,
 }
 
 impl Schedule {
+    /// Whether `method` can work it off.
+    pub(crate) fn check(&self, method: Method) -> Result<()> {
+        let mut options = Options {
+            method,
+            ..Options::new(SEED, Budget::default())
+        };
+        self.apply(&mut options)?;
+        options.check_method()
+    }
+
     fn apply(&self, options: &mut Options) -> Result<()> {
         options.iteration_paths = self.iteration_paths;
         let asked = self.iterations.is_some() || !self.rates.is_empty();
@@ -153,6 +172,12 @@ pub(crate) struct Ready {
     synthetic: Option<bool>,
 }
 
+impl Ready {
+    fn model(&self) -> &'static dyn scatter::Model {
+        self.scene.model()
+    }
+}
+
 impl Asked {
     /// The limits asked for, completed: a minute when there are none, ten when only an accuracy is given.
     pub(crate) fn budget(&self) -> Budget {
@@ -203,9 +228,16 @@ impl Asked {
         &self,
         ready: &Ready,
         command: String,
+        journal: &Journal,
         watch: &dyn Watch,
     ) -> Result<FitResult> {
-        let result = fit(&ready.scene, &ready.measurements, &ready.options, watch)?;
+        let Ready {
+            scene,
+            measurements,
+            options,
+            ..
+        } = ready;
+        let result = fit_with_journal(scene, measurements, options, Some(journal), watch)?;
         Ok(FitResult {
             fabric: self.fabric.display().to_string(),
             measurements: self.measurements.display().to_string(),
@@ -215,8 +247,20 @@ impl Asked {
         })
     }
 
+    /// Takes relative paths as seen from `folder`.
+    fn seen_from(&mut self, folder: &Path) {
+        self.measurements = folder.join(&self.measurements);
+        self.fabric = folder.join(&self.fabric);
+        self.start = self.start.as_ref().map(|start| folder.join(start));
+    }
+
     /// The command line that does this fit.
     pub(crate) fn command(&self, out: &Path) -> String {
+        quoted(self.words(out).into_iter())
+    }
+
+    /// The words of that command line.
+    pub(crate) fn words(&self, out: &Path) -> Vec<String> {
         let mut words = vec!["fit".to_owned()];
         let mut option = |name: &str, value: Option<String>| {
             words.extend(
@@ -246,7 +290,7 @@ impl Asked {
         let rates: Vec<String> = schedule.rates.iter().map(f64::to_string).collect();
         option("rates", (!rates.is_empty()).then(|| rates.join(",")));
         option("out", path(out));
-        quoted(words.into_iter())
+        words
     }
 }
 
@@ -274,21 +318,33 @@ pub(crate) fn write(result: &FitResult, folder: &Path, force: bool) -> Result<()
 }
 
 pub(crate) fn run(a: Arguments) -> Result<Outcome> {
-    let [fit_path, page_path] = files_in(&a.out);
-    if !a.force {
-        refuse_existing(&fit_path)?;
-    }
-    let ready = a.asked.read()?;
-    inputs::prepare_folder(&a.out)?;
     let terminal = Terminal::new()?;
-    let result = a.asked.fit(&ready, command_line(), &terminal)?;
+    let begun = match (a.what, a.out) {
+        (What::Resume(again), _) => Begun::again(again, &terminal)?,
+        (What::New(asked), out) => Begun::new(*asked, out.unwrap_or_default(), a.force)?,
+    };
+    let (asked, command) = (&begun.asked, begun.command.clone());
+    let fitted = asked.fit(&begun.ready, command, &begun.journal, &terminal);
     terminal.finish_stage();
-    write(&result, &a.out, a.force)?;
+    let resuming = begun.resuming();
+    let result = match fitted {
+        Err(error) if terminal.cancelled() => {
+            terminal.say(format!(
+                "interrupted before there was a result: {}",
+                error.report()
+            ));
+            terminal.say(format!("what was rendered is kept; {resuming} goes on"));
+            return Ok(Outcome::Interrupted);
+        }
+        fitted => fitted?,
+    };
+    write(&result, &begun.folder, begun.replace)?;
     if a.json {
         data!("{}", result.to_json()?.trim_end());
     } else {
         print_table(&result);
     }
+    let [fit_path, page_path] = files_in(&begun.folder);
     terminal.say(format!(
         "wrote {} and {}",
         fit_path.display(),
@@ -298,6 +354,9 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         Outcome::Done
     } else {
         terminal.say(format!("not converged: {}", result.reason));
+        if terminal.cancelled() {
+            terminal.say(format!("{resuming} goes on"));
+        }
         Outcome::OutsideTolerance
     })
 }

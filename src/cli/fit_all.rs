@@ -3,7 +3,7 @@
 //! Keeps a list and does what is left of it, one machine at a time. It is no scheduler: `--task` does one entry, for
 //! whatever queue a cluster has.
 
-mod inputs;
+pub(crate) mod inputs;
 mod list;
 mod lock;
 mod state;

@@ -1,7 +1,8 @@
 //! One file per command: reads arguments, composes the rooms, prints.
 //!
 //! stdout is data; everything else goes to stderr. Exit codes: 0 done; 1 finished but not within tolerance, or ended early
-//! and resumable; 2 error; 3 stopped by the operator; 4 halted the fastest way, position unknown.
+//! and resumable; 2 error; 3 stopped by the operator; 4 halted the fastest way, position unknown; 130 interrupted before
+//! there was a result.
 
 // Printing is this room's work.
 #![allow(clippy::print_stderr)]
@@ -17,6 +18,7 @@ mod calibrate;
 mod calibrate_color;
 mod calibrate_geometry;
 mod capture;
+mod chart;
 mod crops;
 mod demo;
 mod doctor;
@@ -51,6 +53,8 @@ pub(crate) enum Outcome {
     Aborted,
     /// Exit code 4: ended by the operator, the rig stopped the fastest way.
     Halted,
+    /// Exit code 130: interrupted before there was a result; what was done is kept.
+    Interrupted,
 }
 
 /// From a gonioreflectometer's plan to fiber scattering parameters: move the rig, measure the frames, fit, report.
@@ -80,6 +84,7 @@ enum Command {
     Fabric(fabric::Arguments),
     Predict(predict::Arguments),
     Validate(validate::Arguments),
+    Chart(chart::Arguments),
     Report(report::Arguments),
 }
 
@@ -91,6 +96,7 @@ pub fn main() -> ExitCode {
         Ok(Outcome::OutsideTolerance) => ExitCode::from(1),
         Ok(Outcome::Aborted) => ExitCode::from(3),
         Ok(Outcome::Halted) => ExitCode::from(4),
+        Ok(Outcome::Interrupted) => ExitCode::from(130),
         Err(error) => {
             eprintln!("error: {}", error.report());
             ExitCode::from(2)
@@ -117,6 +123,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Fabric(a) => fabric::run(a),
         Command::Predict(a) => predict::run(a),
         Command::Validate(a) => validate::run(a),
+        Command::Chart(a) => chart::run(a),
         Command::Report(a) => report::run(a),
     }
 }

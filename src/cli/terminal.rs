@@ -27,6 +27,8 @@ struct Stage {
     name: String,
     bar: ProgressBar,
     begun: Instant,
+    /// What was done already when it began: work of an earlier run says nothing of the speed.
+    from: f64,
 }
 
 impl Terminal {
@@ -168,8 +170,9 @@ impl Terminal {
         {
             let elapsed = stage.begun.elapsed().as_secs_f64();
             let fraction = done as f64 / total as f64;
-            let eta = if fraction > 0.0 {
-                format!(", ETA {:.0} s", elapsed * (1.0 / fraction - 1.0))
+            let own = fraction - stage.from;
+            let eta = if own > 0.0 {
+                format!(", ETA {:.0} s", elapsed * (1.0 - fraction) / own)
             } else {
                 String::new()
             };
@@ -220,10 +223,13 @@ impl Watch for Terminal {
             }
             bar.set_message(stage.to_owned());
             bar.enable_steady_tick(Duration::from_millis(250));
+            bar.set_position(done);
+            bar.reset_eta();
             *current = Some(Stage {
                 name: stage.to_owned(),
                 bar,
                 begun: Instant::now(),
+                from: done as f64 / total as f64,
             });
         }
         if let Some(current) = current.as_ref() {

@@ -9,7 +9,7 @@ use super::objective::{RenderPair, rms_of};
 use super::options::Budget;
 use super::pool::Pool;
 use super::result::Iteration;
-use super::search::{Found, Problem, REACH, SEARCH_SHARE, Spent, Stop, Stretch};
+use super::search::{AFTER_INTERRUPT, Found, Problem, REACH, SEARCH_SHARE, Spent, Stop, Stretch};
 use crate::base::{Error, Result, Watch};
 use std::ops::Range;
 
@@ -304,24 +304,36 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// The pair at the result; after an interrupt a short one that cannot be interrupted.
+    /// The pair at the result; after an interrupt, also one of this very pair, a short one that cannot be interrupted.
     fn last_pair(&mut self, u: &[f64]) -> Result<RenderPair> {
-        let cancelled = self.stop == Some(Stop::Cancelled);
-        let pairs = if cancelled {
-            1.0
-        } else {
-            self.pairs * MODEL_SHARE / (1.0 + MODEL_SHARE)
-        };
+        let pairs = self.pairs * MODEL_SHARE / (1.0 + MODEL_SHARE);
         let usual = (pairs * self.iteration_paths as f64) as u64;
         // A schedule cut short may have half of what is left for the check.
         let half = 0.5 * (1.0 + SEARCH_SHARE);
         let left = self.spent.left(&self.problem.options.budget, half);
-        let paths = usual.min(left.unwrap_or(u64::MAX)).max(self.least_paths());
         self.pairs_left = self.pairs * MODEL_SHARE;
-        let stretch = self.stretch(pairs, false);
-        let pair = self
-            .problem
-            .render(u, paths, &self.equal_shares(), MODEL_INDEX, &stretch)?;
+        if self.stop != Some(Stop::Cancelled) {
+            match self.at_result(u, usual, left, MODEL_INDEX) {
+                Err(_) if self.watch.cancelled() => self.stop = Some(Stop::Cancelled),
+                rendered => return rendered,
+            }
+        }
+        let moment = self.spent.moment();
+        self.at_result(u, moment, left, AFTER_INTERRUPT + MODEL_INDEX)
+    }
+
+    fn at_result(
+        &mut self,
+        u: &[f64],
+        usual: u64,
+        left: Option<u64>,
+        index: u64,
+    ) -> Result<RenderPair> {
+        let paths = usual.min(left.unwrap_or(u64::MAX)).max(self.least_paths());
+        let pairs = paths as f64 / self.iteration_paths as f64;
+        let stretch = self.stretch(pairs, index < AFTER_INTERRUPT);
+        let shares = self.equal_shares();
+        let pair = self.problem.render(u, paths, &shares, index, &stretch)?;
         self.spent.add(paths, &pair);
         Ok(pair)
     }

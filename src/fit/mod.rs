@@ -7,6 +7,7 @@ mod adam;
 mod choice;
 mod gradient;
 mod information;
+mod journal;
 mod linear;
 mod objective;
 mod options;
@@ -23,6 +24,7 @@ mod uncertainty;
 mod validate;
 
 pub use adam::AdamOptions;
+pub use journal::{Journal, JournalHeader};
 pub use objective::{Objective, PairedValue, RenderPair, TAU, rms_of};
 pub use options::{Budget, Method, Options};
 pub use predict::{Compared, Comparison, Prediction, compare, predict};
@@ -60,6 +62,21 @@ pub fn fit(
     options: &Options,
     watch: &dyn Watch,
 ) -> Result<FitResult> {
+    fit_with_journal(scene, measurements, options, None, watch)
+}
+
+/// As [`fit`]; every render pair that `journal` has is taken from it, and every other one added to it, so that a fit that
+/// ended early goes on where it was. With a budget in paths the result is that of the uninterrupted fit.
+///
+/// # Errors
+/// As [`fit`]; also when the journal cannot be written, or has another pair where one is asked for.
+pub fn fit_with_journal(
+    scene: &dyn Scene,
+    measurements: &Measurements,
+    options: &Options,
+    journal: Option<&Journal>,
+    watch: &dyn Watch,
+) -> Result<FitResult> {
     options.check()?;
     let objective = Objective::new(measurements)?;
     let start = match &options.start {
@@ -72,10 +89,11 @@ pub fn fit(
         objective: &objective,
         space: &space,
         options,
+        journal,
     };
     let mut spent = Spent::default();
     let u = space.to_search(&start)?;
-    let (found, note) = match options.method {
+    let (mut found, note) = match options.method {
         Method::GaussNewton => (
             search::search(&problem, &u, &mut spent, watch)?,
             String::new(),
@@ -83,7 +101,7 @@ pub fn fit(
         Method::Sgd => published::search(&problem, &u, &mut spent, watch)?,
         Method::Adam => adam::search(&problem, &u, &mut spent, watch)?,
     };
-    let check = summary::FreshCheck::render(&problem, &found, &mut spent, watch)?;
+    let check = summary::FreshCheck::render(&problem, &mut found, &mut spent, watch)?;
     let mut result = summary::summarize(&problem, &start, &found, &check, spent);
     if !note.is_empty() {
         result.reason = format!("{} [{note}]", result.reason);

@@ -17,7 +17,8 @@ pub(super) type ChannelCorrelation = [[f64; CHANNELS]; CHANNELS];
 
 /// Two renders of the same configurations at the same parameters that share no random number.
 ///
-/// The only way to make one is [`RenderPair::render`], so the independence the objective needs cannot be forgotten.
+/// The only way to make one is [`RenderPair::render`] (or to have kept one), so the independence the objective needs cannot
+/// be forgotten.
 #[derive(Debug, Clone)]
 pub struct RenderPair {
     renders: [Estimates; 2],
@@ -54,6 +55,23 @@ impl RenderPair {
         Ok(Self {
             renders: [one(2 * index)?, one(2 * index + 1)?],
         })
+    }
+
+    /// A pair that was rendered earlier, checked as then.
+    pub(super) fn recalled(
+        renders: [Estimates; 2],
+        configurations: &[Configuration],
+        parameters: &Parameters,
+    ) -> Result<Self> {
+        for render in &renders {
+            check(render, configurations, parameters).context(|| "a recorded render")?;
+        }
+        Ok(Self { renders })
+    }
+
+    /// Both renders, for the record.
+    pub(super) fn renders(&self) -> [&Estimates; 2] {
+        self.renders.each_ref()
     }
 
     /// Seconds of all threads spent on both renders.

@@ -118,6 +118,14 @@ impl Options {
         if !(0.0..1e3).contains(&self.tolerance) {
             return Err(Error::new("the tolerance must be a fraction >= 0"));
         }
+        self.check_method()
+    }
+
+    /// Refuses what the method cannot do, whatever its limits.
+    ///
+    /// # Errors
+    /// With the fault.
+    pub fn check_method(&self) -> Result<()> {
         if self.iteration_paths == Some(0) {
             return Err(Error::new("an iteration needs at least one path"));
         }

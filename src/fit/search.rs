@@ -7,6 +7,7 @@
 //! minimizer is the path-weighted mean of the iterates minus one common Newton step, stochastic approximation with the
 //! matrix gain `n_k / sum n` (Polyak and Juditsky 1992). Finds a local minimum; does not restart from elsewhere.
 
+use super::journal::{Asked, Journal};
 use super::linear::{Matrix, box_quadratic, inverse};
 use super::objective::{Objective, PairedValue, RenderPair, rms_of};
 use super::options::{Budget, Options};
@@ -38,6 +39,10 @@ const FIRST_PATHS: u64 = 2_000;
 const DESCENT_PATHS: u64 = 12_000;
 /// No iteration takes more than this share of the search's budget.
 const LARGEST_SHARE: f64 = 0.25;
+/// Pairs from this index on are rendered after an interrupt: they judge what there is and belong to no search.
+pub(super) const AFTER_INTERRUPT: u64 = 1 << 48;
+/// Seconds, about, that such a pair may take.
+const AFTER_INTERRUPT_S: f64 = 1.5;
 /// Monte Carlo error that no longer matters, as a fraction of the measurements' part of the error.
 const BESIDE_MEASUREMENT: f64 = 0.3;
 
@@ -94,6 +99,12 @@ impl Spent {
             .map(|t| ((t * share - self.wall_s).max(0.0) * self.paths as f64 / self.wall_s) as u64);
         by_paths.into_iter().chain(by_time).min()
     }
+
+    /// Camera paths of a pair after an interrupt: a tenth of all, in a moment at the speed seen so far.
+    pub(super) fn moment(&self) -> u64 {
+        let speed = self.paths as f64 / self.wall_s.max(1e-9);
+        (self.paths / 10).min((AFTER_INTERRUPT_S * speed) as u64)
+    }
 }
 
 /// What stays the same during a fit.
@@ -102,10 +113,12 @@ pub(super) struct Problem<'a> {
     pub(super) objective: &'a Objective,
     pub(super) space: &'a SearchSpace,
     pub(super) options: &'a Options,
+    /// Where pairs are kept, if anywhere.
+    pub(super) journal: Option<&'a Journal>,
 }
 
 impl Problem<'_> {
-    /// A pair of `paths` camera paths in all at `u`.
+    /// A pair of `paths` camera paths in all at `u`; the one that was kept when there is one.
     pub(super) fn render(
         &self,
         u: &[f64],
@@ -114,19 +127,31 @@ impl Problem<'_> {
         index: u64,
         watch: &dyn Watch,
     ) -> Result<RenderPair> {
+        let parameters = self.space.to_parameters(u);
+        let configurations = self.objective.configurations();
+        let paths = (paths / 2).max(shares.len() as u64);
+        let journal = self.journal.filter(|_| index < AFTER_INTERRUPT);
+        let asked = Asked::new(index, paths, shares, &parameters);
+        if let Some(renders) = journal.map(|j| j.recall(&asked)).transpose()?.flatten() {
+            return RenderPair::recalled(renders, &configurations, &parameters);
+        }
         let effort = Effort::Total {
-            paths: (paths / 2).max(shares.len() as u64),
+            paths,
             shares: shares.to_vec(),
         };
-        RenderPair::render(
+        let pair = RenderPair::render(
             self.scene,
-            &self.objective.configurations(),
-            &self.space.to_parameters(u),
+            &configurations,
+            &parameters,
             &effort,
             self.options.seed,
             index,
             watch,
-        )
+        )?;
+        if let Some(journal) = journal {
+            journal.keep(asked, pair.renders())?;
+        }
+        Ok(pair)
     }
 }
 

@@ -6,7 +6,7 @@ use super::pool::Pool;
 use super::result::{
     ConfigurationResult, Correlation, Cost, FitResult, ObjectiveResult, ParameterResult, Verdict,
 };
-use super::search::{Found, Problem, Spent, Stop, Stretch};
+use super::search::{AFTER_INTERRUPT, Found, Problem, Spent, Stop, Stretch};
 use super::uncertainty::Samples;
 use crate::base::{Result, Watch};
 use crate::scatter::{CHANNELS, Parameters, Unit};
@@ -29,33 +29,44 @@ pub(super) struct FreshCheck {
 }
 
 impl FreshCheck {
-    /// Renders the pair with what the search left of the budget, at most a third of what it used.
+    /// Renders the pair with what the search left of the budget, at most a third of what it used. After an interrupt, also
+    /// one of this very pair, a short one that cannot be interrupted.
     pub(super) fn render(
         problem: &Problem<'_>,
-        found: &Found,
+        found: &mut Found,
         spent: &mut Spent,
         watch: &dyn Watch,
     ) -> Result<Self> {
         let objective = problem.objective;
-        let cancelled = found.stop == Stop::Cancelled;
-        let usual = if cancelled {
-            spent.paths / 10
-        } else {
-            spent.paths / 3
-        };
+        let least = 64 * objective.intensities().len() as u64;
         let left = spent.left(&problem.options.budget, 1.0).unwrap_or(u64::MAX);
-        let paths = usual
-            .min(left)
-            .max(64 * objective.intensities().len() as u64);
-        let stretch = Stretch {
-            watch,
-            stage: "fit: final check",
-            done: 0.0,
-            each: 0.5,
-            state: std::sync::Mutex::new((0, 0.0)),
-            interruptible: false,
+        let render = |found: &Found, usual: u64, index: u64| {
+            let paths = usual.min(left).max(least);
+            let stretch = Stretch {
+                watch,
+                stage: "fit: final check",
+                done: 0.0,
+                each: 0.5,
+                state: std::sync::Mutex::new((0, 0.0)),
+                interruptible: index < AFTER_INTERRUPT,
+            };
+            let pair = problem.render(&found.u, paths, &found.check_shares, index, &stretch)?;
+            Ok((pair, paths))
         };
-        let pair = problem.render(&found.u, paths, &found.check_shares, CHECK_INDEX, &stretch)?;
+        let mut whole = None;
+        if found.stop != Stop::Cancelled {
+            whole = match render(found, spent.paths / 3, CHECK_INDEX) {
+                Err(_) if watch.cancelled() => None,
+                rendered => Some(rendered?),
+            };
+        }
+        let (pair, paths) = match whole {
+            Some(rendered) => rendered,
+            None => {
+                found.stop = Stop::Cancelled;
+                render(found, spent.moment(), AFTER_INTERRUPT + CHECK_INDEX)?
+            }
+        };
         spent.add(paths, &pair);
         Ok(Self {
             value: objective.paired(&pair),
@@ -108,6 +119,7 @@ pub(super) fn summarize(
         objective,
         space,
         options,
+        ..
     } = problem;
     let parameters = space.to_parameters(&found.u);
     let quality = quality(problem, found, check);

@@ -5,6 +5,7 @@
 
 mod charts;
 pub mod contact_sheet;
+mod convergence;
 pub mod diverging;
 mod html;
 pub mod linear_picture;
@@ -16,5 +17,6 @@ pub mod preview;
 mod svg;
 pub mod swatch;
 
+pub use convergence::{Course, CoursePoint, convergence_chart};
 pub use page::{Picture, Provenance, Section, Table, page};
 pub use prediction::prediction_chart;

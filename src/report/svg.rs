@@ -190,7 +190,10 @@ impl Drawing {
     /// The picture as a file of its own, with the page's style inside.
     pub(super) fn finish_file(self, style: &str) -> String {
         let body = format!("<style><![CDATA[\n{style}]]></style>\n{}", self.body);
-        self.element(" xmlns=\"http://www.w3.org/2000/svg\"", &body)
+        self.element(
+            " xmlns=\"http://www.w3.org/2000/svg\" font-family=\"system-ui,sans-serif\"",
+            &body,
+        )
     }
 
     fn element(&self, attributes: &str, body: &str) -> String {

@@ -1,16 +1,16 @@
 //! What a fit was made from, so that a later run can tell whether it still is.
 
-use super::list::Task;
+use crate::cli::fit::Asked;
 use crate::fabric::fiber_file;
 use crate::session::files;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 /// Everything that a task's numbers depend on, apart from the program itself. A file that cannot be read has no hash.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Inputs {
+pub(crate) struct Inputs {
     /// SHA-256 of the measurements.
     measurements: Option<String>,
     /// SHA-256 of the fabric description.
@@ -21,13 +21,13 @@ pub(super) struct Inputs {
     start: Option<String>,
     /// What the session around the measurements says of light and sample.
     session: String,
-    /// Limits, method, tolerance.
+    /// Limits, method, tolerance, schedule.
     options: serde_json::Value,
 }
 
 /// Hashes of files, each read once.
 #[derive(Default)]
-pub(super) struct Hashes(HashMap<PathBuf, Option<String>>);
+pub(crate) struct Hashes(HashMap<PathBuf, Option<String>>);
 
 impl Hashes {
     fn of(&mut self, path: &Path) -> Option<String> {
@@ -37,11 +37,28 @@ impl Hashes {
 }
 
 impl Inputs {
-    /// The inputs of a task as they are now.
-    pub(super) fn of(task: &Task, hashes: &mut Hashes) -> Self {
-        let asked = &task.asked;
+    /// The inputs of a fit as they are now.
+    pub(crate) fn of(asked: &Asked, hashes: &mut Hashes) -> Self {
         let budget = asked.budget();
         let fibers = fiber_file(&asked.fabric);
+        let mut options = serde_json::json!({
+            "method": asked.method,
+            "time_s": budget.time_s,
+            "paths": budget.paths,
+            "accuracy": budget.accuracy,
+            "tolerance": asked.tolerance,
+        });
+        // Named only where given: records of earlier versions stay true.
+        let schedule = &asked.schedule;
+        if let Some(paths) = schedule.iteration_paths {
+            options["iteration_paths"] = paths.into();
+        }
+        if let Some(iterations) = schedule.iterations {
+            options["iterations"] = iterations.into();
+        }
+        if !schedule.rates.is_empty() {
+            options["rates"] = schedule.rates.clone().into();
+        }
         Self {
             measurements: hashes.of(&asked.measurements),
             fabric: hashes.of(&asked.fabric),
@@ -54,14 +71,24 @@ impl Inputs {
                 ),
                 Err(error) => error.to_string(),
             },
-            options: serde_json::json!({
-                "method": asked.method,
-                "time_s": budget.time_s,
-                "paths": budget.paths,
-                "accuracy": budget.accuracy,
-                "tolerance": asked.tolerance,
-            }),
+            options,
         }
+    }
+
+    /// What is known of each file and of the session, by name; of options nothing.
+    pub(crate) fn by_name(&self) -> BTreeMap<String, String> {
+        let files = [
+            ("measurements", &self.measurements),
+            ("fabric", &self.fabric),
+            ("fibers", &self.fibers),
+            ("start", &self.start),
+        ];
+        let session = ("session".to_owned(), self.session.clone());
+        let files = files.into_iter().filter_map(|(name, hash)| {
+            let hash = hash.as_ref()?;
+            Some((name.to_owned(), hash.clone()))
+        });
+        files.chain([session]).collect()
     }
 
     /// The names of what differs from `earlier`.

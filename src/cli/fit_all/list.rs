@@ -70,6 +70,10 @@ struct OptionSet {
     method: Option<String>,
     start: Option<String>,
     tolerance: Option<Quantity>,
+    iteration_paths: Option<u64>,
+    iterations: Option<u32>,
+    #[serde(default)]
+    rates: Vec<f64>,
 }
 
 /// A number, or a text with its unit as on a command line.
@@ -250,7 +254,12 @@ impl Combination<'_> {
         scatter::model(self.model)?;
         let o = self.options;
         let method = o.method.as_deref().unwrap_or(fit::METHOD);
-        Method::named(method)?;
+        let schedule = fit::Schedule {
+            iteration_paths: o.iteration_paths,
+            iterations: o.iterations,
+            rates: o.rates.clone(),
+        };
+        schedule.check(Method::named(method)?)?;
         let read = |quantity: &Option<Quantity>, name: &str, parse: fn(&str) -> _| {
             quantity.as_ref().map(|q| q.read(name, parse)).transpose()
         };
@@ -273,7 +282,7 @@ impl Combination<'_> {
                 paths: o.paths,
                 accuracy: read(&o.accuracy, "accuracy", inputs::fraction)?,
                 tolerance,
-                schedule: fit::Schedule::default(),
+                schedule,
             },
         })
     }
@@ -393,6 +402,18 @@ mod tests {
                 "accuracy: '2' is not a fraction",
             ),
             ("[[options]]\nmethod = 'guess'\n", "unknown method 'guess'"),
+            (
+                "[[options]]\niteration_paths = 9\n",
+                "gauss-newton has no schedule",
+            ),
+            (
+                "[[options]]\nmethod = 'adam'\nrates = [1.0, 2.0]\n",
+                "adam takes one learning rate",
+            ),
+            (
+                "[[options]]\nmethod = 'sgd'\nrates = [-1.0]\n",
+                "learning rates must be positive",
+            ),
             ("[[options]]\n[[options]]\npaths = 3\n", "occurs twice"),
             ("seeds = [1, 1]\n", "occurs twice"),
             ("[[exclude]]\nseed = 2\n", "exclude 1 excludes nothing"),

@@ -134,7 +134,7 @@ pub(super) fn look(task: &Task, folder: &Path, hashes: &mut Hashes) -> Result<St
         let note = holder.map(|h| h.words());
         return Ok(Standing::new(State::Running, note));
     }
-    let standing = recorded(folder, &Inputs::of(task, hashes));
+    let standing = recorded(folder, &Inputs::of(&task.asked, hashes));
     match (found, standing.state) {
         (Found::Left(holder), State::Waiting | State::Failed) => Ok(Standing::new(
             State::Failed,

@@ -6,9 +6,10 @@ use super::lock::{self, Found, Holder};
 use super::state::{self, Ending, Record, Standing, State};
 use super::table;
 use crate::base::{Context, Error, Result, Watch};
-use crate::cli::fit::{files_in, write};
+use crate::cli::fit::resume::{header, journal_in, working_folder};
+use crate::cli::fit::{Ready, files_in, write};
 use crate::cli::terminal::Terminal;
-use crate::fit::FitResult;
+use crate::fit::{FitResult, Journal, JournalHeader};
 use crate::session::files;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -95,7 +96,7 @@ impl Work<'_> {
             }
         };
         // It may have been finished between looking and locking.
-        let inputs = Inputs::of(self.task, &mut Hashes::default());
+        let inputs = Inputs::of(&self.task.asked, &mut Hashes::default());
         let again = state::recorded(self.folder, &inputs);
         if again.state != State::Waiting && !(self.order.retry && again.state == State::Failed) {
             drop(lock);
@@ -189,32 +190,61 @@ impl Work<'_> {
         };
         let fit = || {
             let ready = asked.read()?;
-            if Inputs::of(self.task, &mut Hashes::default()) != *inputs {
+            if Inputs::of(&self.task.asked, &mut Hashes::default()) != *inputs {
                 return Err(Error::new("the inputs changed while they were read")
                     .with_hint("the next run does it again"));
             }
+            let journal = self.journal(&ready, log)?;
             let before = cpu_seconds();
-            let mut result = asked.fit(&ready, command, &watch)?;
+            let mut result = asked.fit(&ready, command, &journal, &watch)?;
             // The renderer counts the whole process, other fits included.
-            result.time.cpu_s = cpu_seconds() - before;
+            result.time.cpu_s = cpu_seconds() - before + journal.recalled_cpu_s();
             Ok(result)
         };
         catch_unwind(AssertUnwindSafe(|| pool.install(fit)))
             .unwrap_or_else(|panic| Err(panicked(&*panic)))
     }
 
+    /// The journal of the task: that of an earlier try if it is of the same fit, but perhaps for its limits.
+    fn journal(&self, ready: &Ready, log: &Log) -> Result<Journal> {
+        let path = journal_in(self.folder);
+        let now = JournalHeader {
+            arguments: self.task.asked.words(self.folder),
+            folder: working_folder(),
+            ..header(&self.task.asked, ready)
+        };
+        if path.exists() {
+            let other = match JournalHeader::read(&path) {
+                Ok(earlier) => earlier.difference(&now),
+                Err(error) => Some(error.report()),
+            };
+            let Some(other) = other else {
+                let journal = Journal::resume(&path, &now)?;
+                let (pairs, _) = journal.found();
+                log.line(&format!("going on with {pairs} render pairs"));
+                return Ok(journal);
+            };
+            log.line(&format!("from the start, because of other {other}"));
+            put_aside(&path)?;
+        }
+        Journal::create(&path, &now, false)
+    }
+
     /// Keeps what an earlier try left, under another name: a fit and its record never contradict each other.
     fn put_aside(&self) -> Result<()> {
-        for path in files_in(self.folder) {
-            let extension = path.extension().unwrap_or_default().to_string_lossy();
-            let aside = path.with_extension(format!("earlier.{extension}"));
-            if path.exists() {
-                std::fs::rename(&path, &aside)
-                    .context(|| format!("{} cannot be renamed", path.display()))?;
-            }
-        }
-        Ok(())
+        files_in(self.folder).iter().try_for_each(|p| put_aside(p))
     }
+}
+
+/// Renames a file, if it is there, to `NAME.earlier.EXTENSION`.
+fn put_aside(path: &Path) -> Result<()> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    let aside = path.with_extension(format!("earlier.{extension}"));
+    if path.exists() {
+        std::fs::rename(path, &aside)
+            .context(|| format!("{} cannot be renamed", path.display()))?;
+    }
+    Ok(())
 }
 
 /// CPU time of the threads of the present pool so far, seconds.
