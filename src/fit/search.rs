@@ -123,6 +123,7 @@ impl Problem<'_> {
             index,
             watch,
         )
+        .map(|pair| pair.scaled(self.space.gain_at(u)))
     }
 }
 
