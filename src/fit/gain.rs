@@ -24,8 +24,6 @@ pub(super) struct Prior {
     pub(super) place: usize,
     /// Curvature `e^2 / s^2`.
     pub(super) curvature: f64,
-    /// Variance of its gradient when the gain is drawn from the prior: `e^4 / s^2`.
-    pub(super) variance: f64,
 }
 
 impl Prior {
@@ -37,7 +35,6 @@ impl Prior {
         Some(Self {
             place,
             curvature: e2 / (sd * sd),
-            variance: (e2 / sd).powi(2),
         })
     }
 }

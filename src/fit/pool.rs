@@ -64,9 +64,9 @@ pub(super) struct LinearModel {
     pub(super) curvature_noise: Vec<f64>,
     /// Covariance of the gradient from Monte Carlo noise.
     pub(super) monte_carlo: Matrix,
-    /// Of the gain, in gradient, curvature and `measurement` already.
+    /// Of the gain, in gradient and curvature already.
     prior: Option<Prior>,
-    /// Covariance of the gradient from measurement errors (independent numbers), and of the prior of a gain.
+    /// Covariance of the gradient from measurement errors (independent numbers).
     pub(super) measurement: Matrix,
     /// Averaged Jacobian.
     pub(super) jacobian: Matrix,
@@ -211,12 +211,11 @@ impl Pool {
         let squared: Vec<f64> = (0..n)
             .map(|m| (weights[m] * self.measured_se[m]).powi(2))
             .collect();
-        let mut measurement = jacobian.weighted_gram(&squared, &jacobian);
+        let measurement = jacobian.weighted_gram(&squared, &jacobian);
         if let Some(prior) = self.prior {
             let j = prior.place;
             gradient[j] += prior.curvature * center[j];
             curvature[(j, j)] += prior.curvature;
-            measurement[(j, j)] += prior.variance;
         }
         LinearModel {
             monte_carlo: self.gradient_noise(v, &weights, &jacobian, &residual),
@@ -428,8 +427,14 @@ impl LinearModel {
         damped
     }
 
-    /// The directions along which the data see the curvature: more than three times what noise could feign.
+    /// The directions along which the data, without any prior, see the curvature: more than three times what noise could feign.
     pub(super) fn seen_directions(&self) -> Vec<Direction> {
+        if let Some(prior) = self.prior {
+            let mut data = self.clone();
+            data.prior = None;
+            data.curvature[(prior.place, prior.place)] -= prior.curvature;
+            return data.seen_directions();
+        }
         let directions = self.directions(&self.scales());
         let largest = directions.iter().fold(0.0_f64, |m, d| m.max(d.curvature));
         directions

@@ -5,7 +5,8 @@
 //! Huber (1964) is that of weights `q_i = min(1, K / z_i)`, `z_i = sqrt(v_i) / s`. A fit has three stages; the weights of one
 //! come from a fresh pair at the end of the one before and stay as they are, so no pair is weighted by its own noise. That
 //! pair's linear model is minimized with weights and scale renewed until they settle (iteratively reweighted least squares):
-//! the first stage's result leans toward the outliers, its weights do not. v_i is the product of two renders' residuals, less
+//! the first stage's result leans toward the outliers, its weights do not. They begin from the residuals without the one
+//! configuration whose absence lets the others (but the worst quarter) agree best. v_i is the product of two renders' residuals, less
 //! two of its standard errors: noise of a render makes no outlier. Finds no outliers when they are half of all.
 
 use super::linear::box_quadratic;
@@ -113,10 +114,26 @@ pub(super) fn factors(
     let Loss::Huber(k) = problem.options.loss else {
         return Ok(factors);
     };
+    let objective = problem.objective;
+    let moved = |factors: Vec<f64>| {
+        let weighted = objective.with_factors(factors);
+        moved(problem, &weighted, &found.u, &pair)
+    };
+    // A configuration that has drawn the stage to itself hides among the others: begin without the one that is best missed.
+    let without = |i: usize| {
+        let mut factors = factors.clone();
+        factors[i] = 0.0;
+        Residuals::of(objective, &pair, &moved(factors))
+    };
+    let best = (0..factors.len())
+        .map(without)
+        .chain([Residuals::of(objective, &pair, &moved(factors.clone()))])
+        .min_by(|a, b| a.trimmed().total_cmp(&b.trimmed()));
+    if let Some(best) = best {
+        factors = best.weights(k);
+    }
     for _ in 0..RENEWALS {
-        let objective = problem.objective.with_factors(factors);
-        let moved = moved(problem, &objective, &found.u, &pair);
-        factors = renewed(&objective, &pair, &moved, k);
+        factors = Residuals::of(objective, &pair, &moved(factors)).weights(k);
     }
     Ok(factors)
 }
@@ -140,39 +157,67 @@ fn moved(problem: &Problem<'_>, objective: &Objective, u: &[f64], pair: &RenderP
     model.jacobian.times(&step)
 }
 
-/// Huber's weights of the residuals moved by so much.
-fn renewed(objective: &Objective, pair: &RenderPair, moved: &[f64], k: f64) -> Vec<f64> {
-    let rows = objective.intensities().iter().zip(pair.estimates());
-    let (mut values, mut expected, mut excess) = (Vec::new(), Vec::new(), Vec::new());
-    for ((i, [a, b]), moved) in rows.zip(moved.chunks(CHANNELS)) {
-        let weights = relative_weights(i);
-        let (mut value, mut noise, mut measured, mut n) = (0.0, 0.0, 0.0, 0.0);
-        for c in (0..CHANNELS).filter(|&c| i.present[c]) {
-            let [e1, e2] = [a, b].map(|e| e.mean[c] + moved[c] - i.mean[c]);
-            let s2 = 0.5 * (a.standard_error[c].powi(2) + b.standard_error[c].powi(2));
-            value += weights[c] * e1 * e2;
-            // Channels share paths: their noise adds.
-            noise += weights[c] * (2.0 * (e1 * e2).max(0.0) * s2 + s2 * s2).sqrt();
-            measured += weights[c] * i.standard_error[c].powi(2);
-            n += 1.0;
-        }
-        values.push((value / n).max(0.0));
-        expected.push(measured / n);
-        excess.push(((value - 2.0 * noise) / n).max(0.0));
-    }
-    let scale = (median(values) / MEDIAN).max(median(expected)).sqrt();
-    let limit = k * scale.max(LEAST_SCALE);
-    let weight = |v: f64| {
-        if v.sqrt() > limit {
-            limit / v.sqrt()
-        } else {
-            1.0
-        }
-    };
-    excess.into_iter().map(weight).collect()
+/// Mean relative squared residuals, per configuration.
+struct Residuals {
+    values: Vec<f64>,
+    /// The same less two standard errors of the renders' noise.
+    beyond_noise: Vec<f64>,
+    /// What measurement errors alone would leave.
+    expected: Vec<f64>,
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+impl Residuals {
+    /// Those of a pair whose means have moved by so much.
+    fn of(objective: &Objective, pair: &RenderPair, moved: &[f64]) -> Self {
+        let rows = objective.intensities().iter().zip(pair.estimates());
+        let (mut values, mut expected, mut beyond_noise) = (Vec::new(), Vec::new(), Vec::new());
+        for ((i, [a, b]), moved) in rows.zip(moved.chunks(CHANNELS)) {
+            let weights = relative_weights(i);
+            let (mut value, mut noise, mut measured, mut n) = (0.0, 0.0, 0.0, 0.0);
+            for c in (0..CHANNELS).filter(|&c| i.present[c]) {
+                let [e1, e2] = [a, b].map(|e| e.mean[c] + moved[c] - i.mean[c]);
+                let s2 = 0.5 * (a.standard_error[c].powi(2) + b.standard_error[c].powi(2));
+                value += weights[c] * e1 * e2;
+                // Channels share paths: their noise adds.
+                noise += weights[c] * (2.0 * (e1 * e2).max(0.0) * s2 + s2 * s2).sqrt();
+                measured += weights[c] * i.standard_error[c].powi(2);
+                n += 1.0;
+            }
+            values.push((value / n).max(0.0));
+            expected.push(measured / n);
+            beyond_noise.push(((value - 2.0 * noise) / n).max(0.0));
+        }
+        Self {
+            values,
+            beyond_noise,
+            expected,
+        }
+    }
+
+    /// The sum of all but the largest quarter.
+    fn trimmed(&self) -> f64 {
+        let mut values = self.values.clone();
+        values.sort_by(f64::total_cmp);
+        values[..values.len() - values.len() / 4].iter().sum()
+    }
+
+    /// Huber's weights.
+    fn weights(&self, k: f64) -> Vec<f64> {
+        let scale = (median(&self.values) / MEDIAN).max(median(&self.expected));
+        let limit = k * scale.sqrt().max(LEAST_SCALE);
+        let weight = |v: &f64| {
+            if v.sqrt() > limit {
+                limit / v.sqrt()
+            } else {
+                1.0
+            }
+        };
+        self.beyond_noise.iter().map(weight).collect()
+    }
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut values = values.to_vec();
     values.sort_by(f64::total_cmp);
     let n = values.len();
     0.5 * (values[(n - 1) / 2] + values[n / 2])
