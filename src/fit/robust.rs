@@ -7,7 +7,8 @@
 //! pair's linear model is minimized with weights and scale renewed until they settle (iteratively reweighted least squares):
 //! the first stage's result leans toward the outliers, its weights do not. They begin from the residuals without the one
 //! configuration whose absence lets the others (but the worst quarter) agree best. v_i is the product of two renders' residuals, less
-//! two of its standard errors: noise of a render makes no outlier. Finds no outliers when they are half of all.
+//! two of its standard errors: noise of a render makes no outlier. Finds no outliers when they are half of all, nor
+//! one that is so dark that its relative weight has drawn the fit to itself.
 
 use super::linear::box_quadratic;
 use super::objective::{Objective, RenderPair, relative_weights};
