@@ -304,6 +304,7 @@ impl Case {
                 configuration: *configuration,
                 mean: c.mean,
                 standard_error: c.se,
+                present: [true; 3],
             }
         };
         let pairs = self.configurations.iter().zip(&reference.configs);

@@ -63,6 +63,7 @@ fn a_fit_returns_the_hair_color_of_a_felt() {
             configuration: *configuration,
             mean: e.mean,
             standard_error: e.standard_error,
+            present: [true; 3],
         })
         .collect();
     let budget = Budget {

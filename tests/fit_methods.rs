@@ -62,6 +62,7 @@ impl Linear {
             configuration,
             mean: std::array::from_fn(|c| Self::mean(values, i, c)),
             standard_error: [0.0; 3],
+            present: [true; 3],
         };
         let intensities = Toy::configurations().into_iter().enumerate().map(one);
         Measurements {

@@ -60,8 +60,8 @@ fn poses_never_seen_are_predicted_as_well_as_stated() {
         for row in &comparison.rows {
             assert!(!row.prediction.in_fit);
             for c in 0..3 {
-                squares += row.z[c].powi(2);
-                bare += (row.residual[c] / row.prediction.monte_carlo_se[c]).powi(2);
+                squares += row.z[c].unwrap().powi(2);
+                bare += (row.residual[c].unwrap() / row.prediction.monte_carlo_se[c]).powi(2);
                 n += 1.0;
             }
         }
@@ -253,6 +253,7 @@ fn the_commands_predict_compare_and_leave_out() {
                     configuration: *c,
                     mean,
                     standard_error: mean.map(|m| 0.02 * m),
+                    present: [true; 3],
                 }
             })
             .collect(),

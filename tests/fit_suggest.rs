@@ -118,7 +118,10 @@ fn candidates() -> Vec<Configuration> {
 
 fn measured(errors: Option<[f64; 3]>) -> Vec<MeasuredPose> {
     let poses = khungurn16().unwrap().configurations;
-    poses.into_iter().map(|c| (c, errors)).collect()
+    poses
+        .into_iter()
+        .map(|c| (c, errors.map(|e| e.map(Some))))
+        .collect()
 }
 
 fn options(aim: Aim, shots: usize) -> SuggestOptions {
@@ -188,13 +191,14 @@ fn rows(scene: &Formula, p: &Parameters, pose: &MeasuredPose) -> Vec<Vec<f64>> {
     let (c, se) = pose;
     let mean: [f64; 3] = std::array::from_fn(|k| scene.mean(p.values(), c, k));
     let brightness = (mean.iter().sum::<f64>() / 3.0).max(0.02);
-    let se = se.unwrap_or([0.02 * brightness; 3]);
+    let se = se.unwrap_or([Some(0.02 * brightness); 3]);
     (0..3)
-        .map(|k| {
+        .filter_map(|k| Some((k, se[k]?)))
+        .map(|(k, se)| {
             (0..slopes.len())
                 .map(|j| {
                     // A color of another channel changes nothing: its derivative is zero by itself.
-                    scene.derivative(p.values(), c, k, j) * slopes[j] / se[k]
+                    scene.derivative(p.values(), c, k, j) * slopes[j] / se
                 })
                 .collect()
         })

@@ -64,7 +64,7 @@ fn sample(toy: &Toy, n: u64, paths: u64) -> (Means, f64, Vec<f64>) {
             .zip(objective.intensities())
             .zip(objective.weights())
             .map(|(([a, _], m), w)| {
-                w * (0..3).map(|c| (a.mean[c] - m.mean[c]).powi(2)).sum::<f64>()
+                w[0] * (0..3).map(|c| (a.mean[c] - m.mean[c]).powi(2)).sum::<f64>()
             })
             .sum();
         means.naive.push(naive);
@@ -84,7 +84,7 @@ fn sample(toy: &Toy, n: u64, paths: u64) -> (Means, f64, Vec<f64>) {
             for row in 0..at.infos().len() {
                 for c in 0..3 {
                     let product = (a.mean[c] - m.mean[c]) * a.derivative[row][c];
-                    naive[at.slot(row, c)] += 2.0 * w * product;
+                    naive[at.slot(row, c)] += 2.0 * w[c] * product;
                 }
             }
         }
@@ -102,9 +102,9 @@ fn sample(toy: &Toy, n: u64, paths: u64) -> (Means, f64, Vec<f64>) {
     {
         for c in 0..3 {
             let (mean, derivative) = toy.exact(at.values(), i, c);
-            exact += w * (mean - m.mean[c]).powi(2);
+            exact += w[c] * (mean - m.mean[c]).powi(2);
             for (g, d) in gradient.iter_mut().zip(derivative) {
-                *g += 2.0 * w * (mean - m.mean[c]) * d;
+                *g += 2.0 * w[c] * (mean - m.mean[c]) * d;
             }
         }
     }

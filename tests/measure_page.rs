@@ -27,8 +27,8 @@ fn configuration(id: u32, mean: [f64; 3], se: [f64; 3]) -> RecordedConfiguration
         },
         condition: "good".to_owned(),
         message: None,
-        mean: Some(mean),
-        standard_error: Some(se),
+        mean: Some(mean.map(Some)),
+        standard_error: Some(se.map(Some)),
         budget: [("shot", 0.6), ("white", 0.8), ("read", 0.0)]
             .map(|(n, x)| (n.to_owned(), part(x)))
             .into(),
@@ -215,10 +215,13 @@ fn whatever_changes_in_the_data_changes_on_the_page() {
     let mut changed = Vec::new();
     for k in 0..3 {
         let mut other = record();
-        other.configurations[1].mean.as_mut().unwrap()[k] *= 1.3;
+        *other.configurations[1].mean.as_mut().unwrap()[k]
+            .as_mut()
+            .unwrap() *= 1.3;
         changed.push((other, looks()));
         let mut other = record();
-        other.configurations[1].standard_error.as_mut().unwrap()[k] *= 1.3;
+        let se = other.configurations[1].standard_error.as_mut().unwrap();
+        *se[k].as_mut().unwrap() *= 1.3;
         changed.push((other, looks()));
         let mut other = record();
         other.configurations[0].budget.get_mut("shot").unwrap()[k] *= 1.3;

@@ -117,9 +117,9 @@ fn the_page_says_what_must_be_said() {
 fn a_page_of_odd_numbers_is_still_a_page() {
     let mut result = result();
     for c in &mut result.configs {
-        c.measured = [0.0; 3];
+        c.measured = [Some(0.0); 3];
         c.rendered = [0.0, -0.001, 0.0];
-        c.relative_residual = [0.0; 3];
+        c.relative_residual = [Some(0.0); 3];
     }
     result.history.clear();
     result.objective.weighted_rms_percent = 0.0;

@@ -195,7 +195,7 @@ fn measure(
     terminal.say(format!(
         "    {} frames, {} intensities in {}; rms distance from the truth {:.2} stated standard errors",
         report.frames,
-        3 * measurements.intensities.len(),
+        measurements.n_numbers(),
         path.display(),
         (pulls.iter().sum::<f64>() / pulls.len() as f64).sqrt()
     ));

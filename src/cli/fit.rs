@@ -5,7 +5,7 @@ pub(crate) mod resume;
 use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
 use crate::base::{Error, Result, Watch};
-use crate::fit::{Budget, FitResult, Journal, Method, Options, fit_with_journal};
+use crate::fit::{Budget, FitResult, Journal, Loss, Method, Options, fit_with_journal};
 use crate::render::{FiberScene, FiberSceneOptions, Scene};
 use crate::report::{Provenance, page};
 use crate::scatter;
@@ -20,6 +20,7 @@ Examples:
   goniofit fit --measurements session/measurements.csv --fabric fabrics/gabardine.toml --out fit
   goniofit fit --measurements M.csv --fabric F.toml --seed 7 --paths 5000000 --out fit --json
   goniofit fit --measurements M.csv --fabric F.toml --accuracy 1% --time 10m --start fit/fit.json --out finer
+  goniofit fit --measurements M.csv --fabric F.toml --loss huber:2 --gain-prior 5% --out trusting
   goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
   goniofit fit --resume published
   goniofit fit --resume fit --time 10m
@@ -28,6 +29,9 @@ Examples:
 Methods: gauss-newton; sgd, the search of Khungurn et al. 2015 (six learning rates a of 60 iterations each, in rescaled
 parameters; in full size --iteration-paths 8388608 --paths 6200000000); adam (Kingma and Ba 2015). The last two work off a
 fixed schedule: the limit shares out the paths of an iteration, unless --iteration-paths says how many.
+
+Cells of measurements.csv that are empty were not measured; a camera with one channel has columns g, g_se only. --loss huber:K
+lets configurations count less whose residual is more than K times a usual one; --gain-prior fits a scale of all measurements.
 
 Without a limit a fit ends after 60 seconds, or earlier when Monte Carlo noise adds little to the measurement errors.
 The same seed and --paths give the same numbers on any number of threads; a fit limited by time does not repeat exactly.
@@ -83,6 +87,12 @@ pub(crate) struct Asked {
     /// Weighted rms residual above which the model is said not to explain the measurements
     #[arg(long, value_name = "A", value_parser = inputs::fraction, default_value = TOLERANCE)]
     pub(crate) tolerance: f64,
+    /// How residuals count: squared, or huber:K, which lets outlying configurations count less
+    #[arg(long, default_value = LOSS)]
+    pub(crate) loss: String,
+    /// Fit a gain common to all measurements too, known beforehand to be 1 within this, e.g. 5%
+    #[arg(long, value_name = "S", value_parser = inputs::fraction)]
+    pub(crate) gain_prior: Option<f64>,
     #[command(flatten)]
     pub(crate) schedule: Schedule,
 }
@@ -92,6 +102,7 @@ pub(crate) const MODEL: &str = "khungurn";
 pub(crate) const METHOD: &str = "gauss-newton";
 pub(crate) const SEED: u64 = 1;
 pub(crate) const TOLERANCE: &str = "5%";
+pub(crate) const LOSS: &str = "squared";
 
 const SCHEDULE: &str = "Schedule (sgd and adam)";
 
@@ -201,6 +212,8 @@ impl Asked {
             method: Method::named(&self.method)?,
             start: start.map(|p| inputs::parameters(p, model)).transpose()?,
             tolerance: self.tolerance,
+            loss: Loss::named(&self.loss)?,
+            gain_prior: self.gain_prior,
             ..Options::new(self.seed, self.budget())
         };
         self.schedule.apply(&mut options)?;
@@ -281,6 +294,8 @@ impl Asked {
         option("paths", self.paths.map(|n| n.to_string()));
         option("accuracy", self.accuracy.map(|a| a.to_string()));
         option("tolerance", Some(self.tolerance.to_string()));
+        option("loss", Some(self.loss.clone()));
+        option("gain-prior", self.gain_prior.map(|s| s.to_string()));
         let schedule = &self.schedule;
         option(
             "iteration-paths",
@@ -402,6 +417,12 @@ pub(crate) fn print_table(result: &FitResult) {
             unit,
             p.verdict.words()
         );
+    }
+    if let Some(gain) = &result.gain {
+        data!("{}", gain.sentence);
+    }
+    if let Some(outliers) = result.outliers_in_words() {
+        data!("{outliers}");
     }
     let o = &result.objective;
     data!(

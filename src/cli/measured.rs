@@ -10,8 +10,9 @@ use crate::report::measurement::{
 };
 use crate::report::preview;
 use crate::session::{
-    CalibrationUsed, LampPoint, MeasurementRecord, Measurements, Quantity, RecordedConfiguration,
-    SessionFolder, SessionStamp, alta_text, astm_standard_errors, astm_text, brdf_tables, files,
+    CalibrationUsed, Intensity, LampPoint, MeasurementRecord, Measurements, Quantity,
+    RecordedConfiguration, SessionFolder, SessionStamp, alta_text, astm_standard_errors, astm_text,
+    brdf_tables, files,
 };
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -237,11 +238,7 @@ pub(crate) fn record(
                 .intensities
                 .iter()
                 .find(|i| i.configuration.id == c.id);
-            Some(configuration(
-                *c,
-                found,
-                intensity.map(|i| (i.mean, i.standard_error)),
-            ))
+            Some(configuration(*c, found, intensity))
         })
         .collect::<Result<_>>()?;
     let mut details = object(report)?;
@@ -311,7 +308,7 @@ fn object(value: &impl serde::Serialize) -> Result<BTreeMap<String, Value>> {
 fn configuration(
     configuration: crate::session::Configuration,
     report: &ConfigurationReport,
-    intensity: Option<([f64; 3], [f64; 3])>,
+    intensity: Option<&Intensity>,
 ) -> Result<RecordedConfiguration> {
     let mut budget: BTreeMap<String, [f64; 3]> = BTreeMap::new();
     for (channel, parts) in report.budget.iter().enumerate() {
@@ -340,8 +337,8 @@ fn configuration(
         configuration,
         condition,
         message: report.message.clone(),
-        mean: intensity.map(|(mean, _)| mean),
-        standard_error: intensity.map(|(_, se)| se),
+        mean: intensity.map(|i| i.where_present(i.mean)),
+        standard_error: intensity.map(|i| i.where_present(i.standard_error)),
         budget,
         exposures_ms: report.exposures_ms.clone(),
         area_px: report.area_px,

@@ -115,8 +115,9 @@ fn columns(name: &str) -> String {
     ["r", "g", "b"].map(|c| format!(",{c}{name}")).concat()
 }
 
-fn cells(numbers: [f64; 3]) -> String {
-    numbers.map(|x| format!(",{x:.6}")).concat()
+fn cells(numbers: [Option<f64>; 3]) -> String {
+    let cell = |x: Option<f64>| x.map_or(",".to_owned(), |x| format!(",{x:.6}"));
+    numbers.map(cell).concat()
 }
 
 fn pose_cells(c: &Configuration) -> String {
@@ -132,7 +133,7 @@ fn print_predictions(predictions: &[Prediction]) {
         data!(
             "{}{}",
             pose_cells(&p.configuration),
-            numbers.map(cells).concat()
+            numbers.map(|n| cells(n.map(Some))).concat()
         );
     }
 }
@@ -152,13 +153,16 @@ pub(super) fn print_comparison(comparison: &Comparison) {
     data!("{POSE_COLUMNS}{},in_fit", names.map(columns).concat());
     for row in &comparison.rows {
         let p = &row.prediction;
+        let predicted = [p.mean, p.parameter_se, p.monte_carlo_se, p.model_se];
+        let [mean, parameter_se, monte_carlo_se, model_se] = predicted.map(|n| n.map(Some));
+        let m = &row.measured;
         let numbers = [
-            p.mean,
-            p.parameter_se,
-            p.monte_carlo_se,
-            p.model_se,
-            row.measured.mean,
-            row.measured.standard_error,
+            mean,
+            parameter_se,
+            monte_carlo_se,
+            model_se,
+            m.where_present(m.mean),
+            m.where_present(m.standard_error),
             row.residual,
             row.z,
         ];
@@ -205,8 +209,9 @@ fn prediction_json(p: &Prediction) -> Value {
 
 fn compared_json(row: &Compared) -> Value {
     let mut object = prediction_json(&row.prediction);
-    object["measured"] = json!(row.measured.mean);
-    object["measured_se"] = json!(row.measured.standard_error);
+    object["measured"] = json!(row.measured.where_present(row.measured.mean));
+    let se = row.measured.standard_error;
+    object["measured_se"] = json!(row.measured.where_present(se));
     object["residual"] = json!(row.residual);
     object["z"] = json!(row.z);
     object

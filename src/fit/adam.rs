@@ -7,6 +7,7 @@
 //!
 //! [`SearchSpace`]: super::space::SearchSpace
 
+use super::gain;
 use super::gradient::Walk;
 use super::search::{Found, Problem, Spent};
 use crate::base::{Error, Result, Watch};
@@ -125,6 +126,7 @@ pub(super) fn search(
             .iter()
             .zip(&slopes)
             .map(|(g, slope)| g * slope)
+            .chain(gain::gradient(space, objective, &u, &pair))
             .collect();
         let (step, gains) = memory.step(&gradient);
         walk.record(&u, &pair, &gains);

@@ -104,7 +104,7 @@ pub(super) struct Shot {
 
 impl Shot {
     /// One shot per configuration of a pair; `error` gives each number's standard error from its configuration's index and
-    /// rendered means.
+    /// rendered means, none of a channel that is not measured: it says nothing.
     ///
     /// # Errors
     /// When an error is not a positive number.
@@ -112,19 +112,22 @@ impl Shot {
         place: &Place,
         configurations: &[Configuration],
         pair: &RenderPair,
-        error: impl Fn(usize, [f64; CHANNELS]) -> [f64; CHANNELS],
+        error: impl Fn(usize, [f64; CHANNELS]) -> [Option<f64>; CHANNELS],
     ) -> Result<Vec<Self>> {
         let one = |(i, (c, renders)): (usize, (&Configuration, [&Estimate; 2]))| {
             let [a, b] = renders;
             let mean = std::array::from_fn(|k| 0.5 * (a.mean[k] + b.mean[k]));
             let error = error(i, mean);
-            if let Some(bad) = error.iter().find(|s| !(**s > 0.0 && s.is_finite())) {
+            let mut known = error.into_iter().flatten();
+            if let Some(bad) = known.find(|s| !(*s > 0.0 && s.is_finite())) {
                 return Err(Error::new(format!(
                     "configuration {}: an error of {bad} was given to a number, expected one above 0",
                     c.id
                 ))
                 .with_hint("state the relative error of a measurement"));
             }
+            // Divided by an infinite error a number says nothing.
+            let error = error.map(|e| e.unwrap_or(f64::INFINITY));
             Ok(Self {
                 toward_camera: c.camera_in_sample().vector(),
                 jacobians: renders.map(|e| place.jacobian(e, error)),

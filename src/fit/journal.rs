@@ -129,7 +129,7 @@ struct Kept {
 /// A journal as it was read.
 struct Content {
     header: JournalHeader,
-    pairs: HashMap<u64, Kept>,
+    pairs: HashMap<(u64, u64), Kept>,
     /// Bytes of all whole lines.
     whole: usize,
 }
@@ -157,7 +157,7 @@ impl Content {
             } else {
                 let line: PairLine = read_line(line, i + 2)?;
                 let binding = true;
-                (content.pairs).insert(line.asked.index, Kept { line, binding });
+                (content.pairs).insert(line.asked.key(), Kept { line, binding });
             }
         }
         Ok(content)
@@ -188,7 +188,7 @@ pub struct Journal {
 
 struct State {
     file: File,
-    pairs: HashMap<u64, Kept>,
+    pairs: HashMap<(u64, u64), Kept>,
     recalled: usize,
     recalled_cpu_s: f64,
     added: usize,
@@ -305,7 +305,7 @@ impl Journal {
     /// When a pair of this index is there that should be the same and is not.
     pub(super) fn recall(&self, asked: &Asked) -> Result<Option<[Estimates; 2]>> {
         let mut state = self.state();
-        let Some(kept) = state.pairs.get(&asked.index) else {
+        let Some(kept) = state.pairs.get(&asked.key()) else {
             return Ok(None);
         };
         let what = || format!("journal {}: pair {}", self.path.display(), asked.index);

@@ -5,6 +5,7 @@
 
 mod adam;
 mod choice;
+mod gain;
 mod gradient;
 mod information;
 mod journal;
@@ -16,6 +17,7 @@ mod predict;
 mod published;
 mod rescaling;
 mod result;
+mod robust;
 mod search;
 mod space;
 mod suggest;
@@ -31,9 +33,10 @@ pub use predict::{Compared, Comparison, Prediction, compare, predict};
 pub use published::{Selection, SgdOptions};
 pub use rescaling::{Increment, RescalingOptions};
 pub use result::{
-    ConfigurationResult, Correlation, Cost, FitResult, Iteration, ObjectiveResult, ParameterResult,
-    Truth, Verdict, refuse_existing,
+    ConfigurationResult, Correlation, Cost, FitResult, GainResult, Iteration, ObjectiveResult,
+    ParameterResult, Truth, Verdict, refuse_existing,
 };
+pub use robust::Loss;
 pub use suggest::{
     Aim, Knowledge, MeasuredPose, SuggestOptions, SuggestedShot, Suggestion, suggest,
 };
@@ -44,7 +47,7 @@ use crate::base::{Result, Watch};
 use crate::render::Scene;
 use crate::scatter::Parameters;
 use crate::session::Measurements;
-use search::{Problem, Spent};
+use search::{Found, Problem, Spent, Stop};
 use space::SearchSpace;
 
 /// Finds the parameters of the scene's model that reproduce `measurements`, and how well they are known.
@@ -78,12 +81,35 @@ pub fn fit_with_journal(
     watch: &dyn Watch,
 ) -> Result<FitResult> {
     options.check()?;
-    let objective = Objective::new(measurements)?;
+    let mut objective = Objective::new(measurements)?;
     let start = match &options.start {
         Some(start) => start.clone(),
         None => Parameters::defaults(scene.model()),
     };
-    let space = SearchSpace::new(&start)?;
+    let space = SearchSpace::new(&start)?.with_gain(options.gain_prior);
+    let mut spent = Spent::default();
+    let mut u = space.to_search(&start)?;
+    u.extend(space.gain().map(|_| 0.0));
+    let mut history = Vec::new();
+    let mut interrupted = None;
+    for stage in options.loss.early_stages(options) {
+        let problem = Problem {
+            scene,
+            objective: &objective,
+            space: &space,
+            options: &stage,
+            journal,
+        };
+        let (mut found, note) = searched(&problem, &u, &mut spent, watch)?;
+        if found.stop == Stop::Cancelled {
+            interrupted = Some((found, note));
+            break;
+        }
+        let factors = robust::factors(&problem, &found, &mut spent, watch)?;
+        history.append(&mut found.history);
+        objective = objective.with_factors(factors);
+        u = found.u;
+    }
     let problem = Problem {
         scene,
         objective: &objective,
@@ -91,20 +117,29 @@ pub fn fit_with_journal(
         options,
         journal,
     };
-    let mut spent = Spent::default();
-    let u = space.to_search(&start)?;
-    let (mut found, note) = match options.method {
-        Method::GaussNewton => (
-            search::search(&problem, &u, &mut spent, watch)?,
-            String::new(),
-        ),
-        Method::Sgd => published::search(&problem, &u, &mut spent, watch)?,
-        Method::Adam => adam::search(&problem, &u, &mut spent, watch)?,
+    let (mut found, note) = match interrupted {
+        Some(found) => found,
+        None => searched(&problem, &u, &mut spent, watch)?,
     };
+    found.history.splice(0..0, history);
     let check = summary::FreshCheck::render(&problem, &mut found, &mut spent, watch)?;
     let mut result = summary::summarize(&problem, &start, &found, &check, spent);
     if !note.is_empty() {
         result.reason = format!("{} [{note}]", result.reason);
     }
     Ok(result)
+}
+
+/// Where the method asked for ends from `u`, and what it has to say.
+fn searched(
+    problem: &Problem<'_>,
+    u: &[f64],
+    spent: &mut Spent,
+    watch: &dyn Watch,
+) -> Result<(Found, String)> {
+    match problem.options.method {
+        Method::GaussNewton => Ok((search::search(problem, u, spent, watch)?, String::new())),
+        Method::Sgd => published::search(problem, u, spent, watch),
+        Method::Adam => adam::search(problem, u, spent, watch),
+    }
 }

@@ -1,11 +1,11 @@
 //! The weighted squared error between measured and rendered intensities, estimated without bias.
 //!
 //! `f = sum_i w_i sum_c (R_ic - M_ic)^2`, `w_i = 1 / max(a_i, tau)^2`, `a_i` the channel mean of the measurement, tau =
-//! 0.02 (Khungurn 2015 eq. 18-20). The square of one noisy render is too large by its variance; the product of two
+//! 0.02 (Khungurn 2015 eq. 18-20). A number that was not measured has weight 0 and no part in `a_i`. The square of one noisy render is too large by its variance; the product of two
 //! independent renders' errors is not, so nothing here takes a single render. Does not know how parameters are searched.
 
 use crate::base::{Context, Error, Result, Watch};
-use crate::render::{Effort, Estimate, Estimates, Request, Scene, relative_error_weight};
+use crate::render::{Effort, Estimate, Estimates, Request, Scene};
 use crate::scatter::{CHANNELS, Parameters};
 use crate::session::{Configuration, Intensity, Measurements};
 
@@ -72,6 +72,22 @@ impl RenderPair {
     /// Both renders, for the record.
     pub(super) fn renders(&self) -> [&Estimates; 2] {
         self.renders.each_ref()
+    }
+
+    /// The pair times a gain.
+    pub(super) fn scaled(mut self, gain: f64) -> Self {
+        if gain.to_bits() == 1.0_f64.to_bits() {
+            return self;
+        }
+        let all = self.renders.iter_mut().flat_map(|r| &mut r.configurations);
+        for e in all {
+            let numbers = e.mean.iter_mut().chain(&mut e.standard_error);
+            let derivatives = e.derivative.iter_mut().chain(&mut e.derivative_se);
+            numbers
+                .chain(derivatives.flatten())
+                .for_each(|x| *x *= gain);
+        }
+        self
     }
 
     /// Seconds of all threads spent on both renders.
@@ -180,38 +196,94 @@ pub struct PairedValue {
 #[derive(Debug, Clone)]
 pub struct Objective {
     intensities: Vec<Intensity>,
-    weights: Vec<f64>,
+    factors: Vec<f64>,
+    weights: Vec<NumberWeights>,
+}
+
+/// The weight of each channel's number of one configuration; 0 where nothing was measured.
+pub(super) type NumberWeights = [f64; CHANNELS];
+
+/// The weight of a measured configuration (Khungurn 2015 eq. 20) from the mean over the channels present.
+pub(super) fn relative_weight(intensity: &Intensity) -> f64 {
+    let present = intensity
+        .where_present(intensity.mean)
+        .into_iter()
+        .flatten();
+    let brightness = present.clone().sum::<f64>() / present.count() as f64;
+    brightness.max(TAU).powi(2).recip()
+}
+
+/// The same for each number: 0 where nothing was measured.
+pub(super) fn relative_weights(intensity: &Intensity) -> NumberWeights {
+    let weight = relative_weight(intensity);
+    intensity.present.map(|p| if p { weight } else { 0.0 })
 }
 
 impl Objective {
     /// The objective with the weights of Khungurn 2015 eq. 20.
     ///
     /// # Errors
-    /// When there are no measurements, or one of them is negative or not finite.
+    /// When there are no measurements, a configuration has none, or one of them is negative or not finite.
     pub fn new(measurements: &Measurements) -> Result<Self> {
         let intensities = measurements.intensities.clone();
         if intensities.is_empty() {
             return Err(Error::new("no measurements to fit"));
         }
         for i in &intensities {
+            if i.present == [false; CHANNELS] {
+                return Err(Error::new(format!(
+                    "configuration {}: no channel was measured",
+                    i.configuration.id
+                ))
+                .with_hint("leave out a configuration that was not measured"));
+            }
             for (what, value) in [("intensity", i.mean), ("standard error", i.standard_error)] {
-                if let Some(bad) = value.iter().find(|x| !(0.0..1e6).contains(*x)) {
+                let mut present = i.where_present(value).into_iter().flatten();
+                if let Some(bad) = present.find(|x| !(0.0..1e6).contains(x)) {
                     return Err(Error::new(format!(
                         "configuration {}: {what} is {bad}, expected a finite number >= 0",
                         i.configuration.id
                     ))
-                    .with_hint("leave out a configuration that was not measured"));
+                    .with_hint("leave out a number that was not measured"));
                 }
             }
         }
-        let weights = intensities
-            .iter()
-            .map(|i| relative_error_weight(i.mean, TAU))
-            .collect();
+        let weights = intensities.iter().map(relative_weights).collect();
         Ok(Self {
+            factors: vec![1.0; intensities.len()],
             intensities,
             weights,
         })
+    }
+
+    /// The same with weights times a factor for each configuration.
+    pub(super) fn with_factors(&self, factors: Vec<f64>) -> Self {
+        let rows = self.intensities.iter().zip(&factors);
+        Self {
+            intensities: self.intensities.clone(),
+            weights: rows
+                .map(|(i, q)| relative_weights(i).map(|w| q * w))
+                .collect(),
+            factors,
+        }
+    }
+
+    /// By what a robust loss has multiplied the weight of each configuration; 1 without.
+    pub(super) fn factors(&self) -> &[f64] {
+        &self.factors
+    }
+
+    /// The same with these factors squared: what a configuration that counts less may at most contribute is bounded by the
+    /// loss. Without a robust loss the objective itself.
+    pub(super) fn bounded(&self) -> Self {
+        self.with_factors(self.factors.iter().map(|q| q * q).collect())
+    }
+
+    /// What measurement errors alone contribute: `sum w se^2`.
+    pub(super) fn measurement_sum(&self) -> f64 {
+        let rows = self.intensities.iter().zip(&self.weights);
+        rows.flat_map(|(i, w)| (0..CHANNELS).map(move |c| w[c] * i.standard_error[c].powi(2)))
+            .sum()
     }
 
     /// The measurements.
@@ -219,8 +291,8 @@ impl Objective {
         &self.intensities
     }
 
-    /// One weight per configuration.
-    pub fn weights(&self) -> &[f64] {
+    /// The weight of each number, per configuration and channel; 0 of one that was not measured.
+    pub fn weights(&self) -> &[[f64; CHANNELS]] {
         &self.weights
     }
 
@@ -229,9 +301,15 @@ impl Objective {
         self.intensities.iter().map(|i| i.configuration).collect()
     }
 
-    /// How many numbers are compared: three per configuration.
+    /// How many numbers are compared: those that were measured.
     pub fn n_numbers(&self) -> usize {
-        CHANNELS * self.intensities.len()
+        let present = self.intensities.iter().flat_map(|i| i.present);
+        present.filter(|p| *p).count()
+    }
+
+    /// Whether any configuration was measured in this channel.
+    pub fn sees(&self, channel: usize) -> bool {
+        self.intensities.iter().any(|i| i.present[channel])
     }
 
     /// The unbiased estimate of the objective from one pair.
@@ -256,7 +334,7 @@ impl Objective {
         {
             for row in 0..parameters.infos().len() {
                 for c in 0..CHANNELS {
-                    gradient[parameters.slot(row, c)] += w
+                    gradient[parameters.slot(row, c)] += w[c]
                         * ((a.mean[c] - i.mean[c]) * b.derivative[row][c]
                             + (b.mean[c] - i.mean[c]) * a.derivative[row][c]);
                 }
@@ -269,7 +347,7 @@ impl Objective {
 /// [`Objective::paired`] against any target intensities.
 pub(super) fn paired_against(
     targets: &[[f64; CHANNELS]],
-    weights: &[f64],
+    weights: &[NumberWeights],
     pair: &RenderPair,
 ) -> PairedValue {
     let rho = channel_correlation(pair.standardized_differences());
@@ -277,15 +355,15 @@ pub(super) fn paired_against(
     for ((target, w), [a, b]) in targets.iter().zip(weights).zip(pair.estimates()) {
         let e1: [f64; CHANNELS] = std::array::from_fn(|c| a.mean[c] - target[c]);
         let e2: [f64; CHANNELS] = std::array::from_fn(|c| b.mean[c] - target[c]);
-        value += w * (0..CHANNELS).map(|c| e1[c] * e2[c]).sum::<f64>();
+        value += (0..CHANNELS).map(|c| w[c] * e1[c] * e2[c]).sum::<f64>();
         for c in 0..CHANNELS {
             for d in 0..CHANNELS {
                 let s1 = rho[c][d] * a.standard_error[c] * a.standard_error[d];
                 let s2 = rho[c][d] * b.standard_error[c] * b.standard_error[d];
                 let rr = 0.5 * (e1[c] * e2[d] + e1[d] * e2[c]);
-                variance += w * w * (rr * (s1 + s2) + s1 * s2);
+                variance += w[c] * w[d] * (rr * (s1 + s2) + s1 * s2);
             }
-            floor += (w * a.standard_error[c] * b.standard_error[c]).powi(2);
+            floor += (w[c] * a.standard_error[c] * b.standard_error[c]).powi(2);
         }
     }
     // The plug-in may come out too small where all r are small; the noise products alone are a lower bound.

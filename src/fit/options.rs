@@ -2,6 +2,7 @@
 
 use super::adam::AdamOptions;
 use super::published::SgdOptions;
+use super::robust::Loss;
 use crate::base::{Error, Result};
 use crate::scatter::Parameters;
 
@@ -68,6 +69,11 @@ pub struct Options {
     pub budget: Budget,
     /// Every random number is a function of it.
     pub seed: u64,
+    /// How residuals count.
+    pub loss: Loss,
+    /// Relative standard deviation of a gain common to all measurements, which is then one more unknown; exact scale when
+    /// none. Not for [`Method::Sgd`].
+    pub gain_prior: Option<f64>,
     /// Where to begin; the model's published defaults when none.
     pub start: Option<Parameters>,
     /// A weighted rms residual significantly above this fraction is reported as a model that does not explain the data.
@@ -88,6 +94,8 @@ impl Options {
             method: Method::default(),
             budget,
             seed,
+            loss: Loss::default(),
+            gain_prior: None,
             start: None,
             tolerance: 0.05,
             iteration_paths: None,
@@ -118,6 +126,11 @@ impl Options {
         if !(0.0..1e3).contains(&self.tolerance) {
             return Err(Error::new("the tolerance must be a fraction >= 0"));
         }
+        if self.gain_prior.is_some_and(|s| !(1e-4..=0.5).contains(&s)) {
+            return Err(Error::new(
+                "the prior of the gain must be a fraction between 0.0001 and 0.5",
+            ));
+        }
         self.check_method()
     }
 
@@ -126,6 +139,10 @@ impl Options {
     /// # Errors
     /// With the fault.
     pub fn check_method(&self) -> Result<()> {
+        if self.gain_prior.is_some() && self.method == Method::Sgd {
+            return Err(Error::new("the published descent has no gain")
+                .with_hint("fit a gain with --method gauss-newton or adam"));
+        }
         if self.iteration_paths == Some(0) {
             return Err(Error::new("an iteration needs at least one path"));
         }

@@ -12,6 +12,7 @@
 //! The minimizer `u0 - H^-1 g0` is the average of iterates minus a common Newton step. The curvature leaves out the
 //! second derivatives of the means, as Gauss-Newton does.
 
+use super::gain::Prior;
 use super::linear::{Matrix, dot, eigen};
 use super::objective::{ChannelCorrelation, Objective, RenderPair, channel_correlation};
 use super::space::SearchSpace;
@@ -39,9 +40,13 @@ struct Record {
 /// The renders so far.
 #[derive(Debug, Clone)]
 pub(super) struct Pool {
-    /// Weight of each number.
+    /// Weight of each number; 0 where nothing was measured.
     weights: Vec<f64>,
+    /// How many were measured.
+    n_numbers: usize,
     measured_se: Vec<f64>,
+    /// Of the gain, if there is one.
+    prior: Option<Prior>,
     records: Vec<Record>,
     differences: Vec<[f64; CHANNELS]>,
 }
@@ -59,12 +64,16 @@ pub(super) struct LinearModel {
     pub(super) curvature_noise: Vec<f64>,
     /// Covariance of the gradient from Monte Carlo noise.
     pub(super) monte_carlo: Matrix,
+    /// Of the gain, in gradient and curvature already.
+    prior: Option<Prior>,
     /// Covariance of the gradient from measurement errors (independent numbers).
     pub(super) measurement: Matrix,
     /// Averaged Jacobian.
     pub(super) jacobian: Matrix,
-    /// Weight of each number.
+    /// Weight of each number; 0 where nothing was measured.
     pub(super) weights: Vec<f64>,
+    /// How many were measured.
+    pub(super) n_numbers: usize,
 }
 
 /// One of the directions that diagonalize the curvature: along `step` it is `curvature`, and the curvature matrix is the
@@ -80,14 +89,15 @@ pub(super) struct Direction {
 
 impl Pool {
     pub(super) fn new(objective: &Objective) -> Self {
-        let repeat = |x: &f64| [*x; CHANNELS];
         Self {
-            weights: objective.weights().iter().flat_map(repeat).collect(),
+            weights: objective.weights().as_flattened().to_vec(),
+            n_numbers: objective.n_numbers(),
             measured_se: objective
                 .intensities()
                 .iter()
                 .flat_map(|i| i.standard_error)
                 .collect(),
+            prior: None,
             records: Vec::new(),
             differences: Vec::new(),
         }
@@ -112,6 +122,7 @@ impl Pool {
         pair: &RenderPair,
     ) {
         let slopes = space.slopes(parameters);
+        self.prior = Prior::of(space, objective);
         for which in 0..2 {
             let n = self.weights.len();
             let mut record = Record {
@@ -132,6 +143,11 @@ impl Pool {
                 for c in 0..CHANNELS {
                     record.residual.push(e.mean[c] - measured.mean[c]);
                     record.mean_se.push(e.standard_error[c]);
+                    if let Some(Prior { place, .. }) = self.prior {
+                        let number = (CHANNELS * i + c, place);
+                        record.jacobian[number] = e.mean[c];
+                        record.jacobian_variance[number] = e.standard_error[c].powi(2);
+                    }
                     for row in 0..parameters.infos().len() {
                         let (m, j) = (CHANNELS * i + c, parameters.slot(row, c));
                         record.jacobian[(m, j)] = e.derivative[row][c] * slopes[j];
@@ -192,20 +208,26 @@ impl Pool {
         let mut curvature = jacobian.weighted_gram(&weights, &jacobian);
         curvature.add_scaled(-1.0, &self_curvature);
         curvature.scale(1.0 / pairs);
+        let squared: Vec<f64> = (0..n)
+            .map(|m| (weights[m] * self.measured_se[m]).powi(2))
+            .collect();
+        let measurement = jacobian.weighted_gram(&squared, &jacobian);
+        if let Some(prior) = self.prior {
+            let j = prior.place;
+            gradient[j] += prior.curvature * center[j];
+            curvature[(j, j)] += prior.curvature;
+        }
         LinearModel {
             monte_carlo: self.gradient_noise(v, &weights, &jacobian, &residual),
-            measurement: {
-                let squared: Vec<f64> = (0..n)
-                    .map(|m| (weights[m] * self.measured_se[m]).powi(2))
-                    .collect();
-                jacobian.weighted_gram(&squared, &jacobian)
-            },
+            measurement,
+            prior: self.prior,
             center,
             gradient,
             curvature: curvature.symmetrized(),
             curvature_noise,
             jacobian,
             weights,
+            n_numbers: self.n_numbers,
         }
     }
 
@@ -368,6 +390,9 @@ impl LinearModel {
     /// raised a little (Marquardt 1963).
     pub(super) fn marquardt_curvature(&self) -> Matrix {
         let mut curvature = self.jacobian.weighted_gram(&self.weights, &self.jacobian);
+        if let Some(prior) = self.prior {
+            curvature[(prior.place, prior.place)] += prior.curvature;
+        }
         for j in 0..curvature.n_rows() {
             curvature[(j, j)] = (1.0 + MARQUARDT) * curvature[(j, j)] + 1e-12;
         }
@@ -402,8 +427,14 @@ impl LinearModel {
         damped
     }
 
-    /// The directions along which the data see the curvature: more than three times what noise could feign.
+    /// The directions along which the data, without any prior, see the curvature: more than three times what noise could feign.
     pub(super) fn seen_directions(&self) -> Vec<Direction> {
+        if let Some(prior) = self.prior {
+            let mut data = self.clone();
+            data.prior = None;
+            data.curvature[(prior.place, prior.place)] -= prior.curvature;
+            return data.seen_directions();
+        }
         let directions = self.directions(&self.scales());
         let largest = directions.iter().fold(0.0_f64, |m, d| m.max(d.curvature));
         directions
@@ -429,6 +460,6 @@ impl LinearModel {
             .flat_map(|i| (0..p).map(move |j| (i, j)))
             .map(|(i, j)| gram[(i, j)] * noise.form(&columns(i), &columns(j)))
             .sum();
-        (trace.max(0.0) / self.weights.len() as f64).sqrt()
+        (trace.max(0.0) / self.n_numbers as f64).sqrt()
     }
 }

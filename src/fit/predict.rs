@@ -1,11 +1,12 @@
 //! Means at any pose from an earlier fit, with what is not known of them, and how they compare with measurements.
 //!
 //! To first order in the parameters' errors: the covariance of the fit, whose density is cut off at the bounds, goes through
-//! the derivatives at the fitted parameters. Errors common to all measurements (the white standard's factor) are not seen.
+//! the derivatives at the fitted parameters. A fitted gain multiplies the predictions: they are what that session would have
+//! measured. Errors common to all measurements (the white standard's factor) are not seen.
 
 use super::information::{self, Place};
 use super::linear::Matrix;
-use super::objective::{RenderPair, TAU};
+use super::objective::{RenderPair, TAU, relative_weights};
 use super::result::{FitResult, rms_against};
 use crate::base::{Error, Result, Watch};
 use crate::render::{Effort, Scene, relative_error_weight};
@@ -72,7 +73,8 @@ pub fn predict(
         seed,
         PREDICT_INDEX,
         watch,
-    )?;
+    )?
+    .scaled(fit.gain_value());
     let with = |(c, [a, b]): (&Configuration, [&crate::render::Estimate; 2])| {
         let mean = std::array::from_fn(|k| 0.5 * (a.mean[k] + b.mean[k]));
         let brightness = relative_error_weight(mean, TAU).sqrt().recip();
@@ -147,10 +149,10 @@ pub struct Compared {
     pub prediction: Prediction,
     /// The measurement.
     pub measured: Intensity,
-    /// Predicted minus measured.
-    pub residual: [f64; CHANNELS],
+    /// Predicted minus measured; none of a channel that was not measured.
+    pub residual: [Option<f64>; CHANNELS],
     /// The residual divided by all errors together: parameters, renders, model and measurement.
-    pub z: [f64; CHANNELS],
+    pub z: [Option<f64>; CHANNELS],
 }
 
 /// Predictions and measurements, compared.
@@ -190,13 +192,16 @@ impl Compared {
                 c.id
             )));
         }
-        let residual: [f64; CHANNELS] =
-            std::array::from_fn(|k| prediction.mean[k] - measured.mean[k]);
+        let residual = measured.where_present(std::array::from_fn(|k| {
+            prediction.mean[k] - measured.mean[k]
+        }));
         let se = prediction.standard_error();
         Ok(Self {
             prediction: prediction.clone(),
             measured: *measured,
-            z: std::array::from_fn(|k| residual[k] / se[k].hypot(measured.standard_error[k])),
+            z: std::array::from_fn(|k| {
+                residual[k].map(|r| r / se[k].hypot(measured.standard_error[k]))
+            }),
             residual,
         })
     }
@@ -207,13 +212,14 @@ impl Comparison {
     pub(super) fn of(rows: Vec<Compared>) -> Self {
         let (rms, se) = rms_against(rows.iter().map(|r| {
             let p = &r.prediction;
-            let weight = relative_error_weight(r.measured.mean, TAU);
-            (weight, p.renders, p.monte_carlo_se, r.measured.mean)
+            let weights = relative_weights(&r.measured);
+            (weights, p.renders, p.monte_carlo_se, r.measured.mean)
         }));
-        let squares: f64 = rows.iter().flat_map(|r| r.z).map(|z| z * z).sum();
+        let z = rows.iter().flat_map(|r| r.z).flatten();
+        let (squares, n) = z.fold((0.0, 0.0), |(sum, n), z| (sum + z * z, n + 1.0));
         Self {
             weighted_rms_percent: [100.0 * rms, 100.0 * se],
-            rms_z: (squares / (CHANNELS * rows.len()) as f64).sqrt(),
+            rms_z: (squares / n).sqrt(),
             rows,
         }
     }

@@ -13,7 +13,7 @@
 //! whole, so that the inverse exists. The slope jumps at knots, which a descent does not mind.
 
 use super::gradient::Walk;
-use super::objective::RenderPair;
+use super::objective::{NumberWeights, RenderPair};
 use crate::base::Result;
 use crate::scatter::{CHANNELS, ParameterInfo, Parameters};
 
@@ -205,10 +205,10 @@ fn means(pair: &RenderPair) -> Means {
 }
 
 /// The increment of eq. 23 between two neighboring knots.
-fn increment(weights: &[f64], lower: &Means, upper: &Means, form: Increment) -> f64 {
+fn increment(weights: &[NumberWeights], lower: &Means, upper: &Means, form: Increment) -> f64 {
     let differences = lower.iter().zip(upper).zip(weights).map(|((l, u), w)| {
-        let product = |c: usize| (u[0][c] - l[0][c]) * (u[1][c] - l[1][c]);
-        w * (0..CHANNELS).map(product).sum::<f64>()
+        let product = |c: usize| w[c] * (u[0][c] - l[0][c]) * (u[1][c] - l[1][c]);
+        (0..CHANNELS).map(product).sum::<f64>()
     });
     match form {
         Increment::SumOfRoots => differences.map(|d| d.max(0.0).sqrt()).sum(),
@@ -261,14 +261,14 @@ mod tests {
     }
 
     /// Three knots of a parameter seen by two configurations of weights 4 and 25.
-    fn example() -> ([f64; 2], [Means; 3]) {
+    fn example() -> ([NumberWeights; 2], [Means; 3]) {
         let both = |rows: [[f64; 3]; 2]| rows.map(|r| [r, r]).to_vec();
         let renders = [
             both([[0.1, 0.2, 0.3], [0.5, 0.5, 0.5]]),
             both([[0.4, 0.6, 0.3], [0.5, 0.5, 0.5]]),
             both([[0.4, 0.6, 0.3], [0.5, 0.8, 0.9]]),
         ];
-        ([4.0, 25.0], renders)
+        ([[4.0; 3], [25.0; 3]], renders)
     }
 
     #[test]
@@ -329,7 +329,7 @@ mod tests {
         // 0.34 sqrt(2) standard deviations on average, the difference of one render has 0.80 sqrt(2).
         let seed = std::env::var("SEED").ok().and_then(|s| s.parse().ok());
         let mut random = Random::keyed(&[seed.unwrap_or(41)]);
-        let weights = vec![1.0; 16];
+        let weights = vec![[1.0; 3]; 16];
         let mut draw = || -> Means {
             (0..16)
                 .map(|_| [0, 1].map(|_| [0.01 * random.normal(), 0.0, 0.0]))

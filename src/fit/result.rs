@@ -2,7 +2,7 @@
 //!
 //! All numbers are finite; angles wear degrees as in parameter files. Does not know how the numbers were found.
 
-use super::objective::{PairedValue, rms_of};
+use super::objective::{NumberWeights, PairedValue, rms_of};
 use crate::base::{Context, Error, Result};
 use crate::scatter::CHANNELS;
 use crate::session::{Configuration, files};
@@ -43,30 +43,38 @@ pub struct ConfigurationResult {
     /// The pose; in files its columns are those of `measurements.csv`.
     #[serde(flatten)]
     pub configuration: Configuration,
-    /// Measured normalized radiance, r, g, b.
-    pub measured: [f64; CHANNELS],
+    /// Measured normalized radiance, r, g, b; null of a channel that was not measured.
+    pub measured: [Option<f64>; CHANNELS],
     /// Its standard error.
-    pub measured_se: [f64; CHANNELS],
-    /// Rendered normalized radiance: the mean of the two fresh renders.
+    pub measured_se: [Option<f64>; CHANNELS],
+    /// Rendered normalized radiance, times the gain if there is one: the mean of the two fresh renders.
     pub rendered: [f64; CHANNELS],
     /// Its standard error.
     pub rendered_se: [f64; CHANNELS],
     /// Rendered minus measured.
-    pub residual: [f64; CHANNELS],
+    pub residual: [Option<f64>; CHANNELS],
     /// The residual times the square root of the weight: relative to the measured channel mean (not below tau).
-    pub relative_residual: [f64; CHANNELS],
-    /// Weight in the objective (Khungurn 2015 eq. 20).
+    pub relative_residual: [Option<f64>; CHANNELS],
+    /// Weight of the channels present in the objective (Khungurn 2015 eq. 20).
     pub weight: f64,
+    /// By what a robust loss has multiplied the weight; 1 without one.
+    #[serde(default = "one")]
+    pub robust_weight: f64,
     /// The two independent fresh renders by themselves.
     pub renders: [[f64; CHANNELS]; 2],
     /// Camera paths of both.
     pub paths: u64,
 }
 
+fn one() -> f64 {
+    1.0
+}
+
 /// How well the fitted parameters reproduce the measurements, from fresh pairs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ObjectiveResult {
-    /// `sum w (R1 - M)(R2 - M)`: unbiased, may be negative.
+    /// `sum w (R1 - M)(R2 - M)`: unbiased, may be negative. With a robust loss the weights are those times `robust_weight`,
+    /// here and in the residual below.
     pub paired: f64,
     /// Its standard error.
     pub se: f64,
@@ -147,6 +155,23 @@ pub struct ParameterResult {
     pub sentence: String,
 }
 
+/// A scale common to all measurements, fitted beside the parameters: `measured = gain * rendered`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GainResult {
+    /// The gain.
+    pub value: f64,
+    /// Standard deviation of the prior of its logarithm.
+    pub prior_sd: f64,
+    /// Half width of the central 68 % of the uncertainty.
+    pub standard_error: f64,
+    /// 68 % interval.
+    pub interval_68: [f64; 2],
+    /// 95 % interval.
+    pub interval_95: [f64; 2],
+    /// The same as a sentence.
+    pub sentence: String,
+}
+
 /// Correlations between the parameters' uncertainties.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Correlation {
@@ -180,7 +205,8 @@ pub struct Truth {
     pub values: Vec<f64>,
     /// Noise-free normalized radiances, in the order of [`FitResult::configs`].
     pub intensities: Vec<[f64; CHANNELS]>,
-    /// Weighted rms of the fitted means against them, percent, from the fresh pair (unbiased below the root).
+    /// Weighted rms of the fitted means against them where they were measured, percent, from the fresh pair (unbiased below
+    /// the root).
     pub weighted_rms_percent: f64,
     /// Its standard error, percent.
     pub weighted_rms_se_percent: f64,
@@ -211,6 +237,12 @@ pub struct FitResult {
     pub not_determined: Vec<String>,
     /// Every flat parameter with its intervals.
     pub uncertainty: Vec<ParameterResult>,
+    /// The scale of all measurements, when it was fitted; not a parameter of the model.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub gain: Option<GainResult>,
+    /// How residuals count: `squared`, or a robust loss.
+    #[serde(default = "squared")]
+    pub loss: String,
     /// Correlations of those.
     pub correlation: Correlation,
     /// Every configuration, measured and rendered.
@@ -236,7 +268,37 @@ pub struct FitResult {
     pub truth: Option<Truth>,
 }
 
+fn squared() -> String {
+    super::Loss::Squared.name()
+}
+
 impl FitResult {
+    /// By what the renders are multiplied before they are compared with measurements; 1 when no gain was fitted.
+    pub fn gain_value(&self) -> f64 {
+        self.gain.as_ref().map_or(1.0, |g| g.value)
+    }
+
+    /// Which configurations a robust loss let count less, as a sentence; none when the loss was not robust.
+    pub fn outliers_in_words(&self) -> Option<String> {
+        if self.loss == squared() {
+            return None;
+        }
+        let list: Vec<String> = self
+            .configs
+            .iter()
+            .filter(|c| c.robust_weight < 1.0)
+            .map(|c| format!("{} to {:.3}", c.configuration.id, c.robust_weight))
+            .collect();
+        Some(match list.len() {
+            0 => format!("robust loss {}: no configuration counts less", self.loss),
+            _ => format!(
+                "robust loss {}: weights reduced of configuration {}; the residual is weighted so",
+                self.loss,
+                list.join(", ")
+            ),
+        })
+    }
+
     /// The value of [`FitResult::format`].
     pub const FORMAT: &'static str = "goniofit-fit-1";
 
@@ -265,12 +327,13 @@ impl FitResult {
                     .ok_or_else(|| Error::new(format!("truth: parameter {} is missing", p.name)))
             })
             .collect::<Result<_>>()?;
-        let (weighted_rms, se) = rms_against(
-            self.configs
-                .iter()
-                .zip(&intensities)
-                .map(|(c, truth)| (c.weight, c.renders, c.rendered_se, *truth)),
-        );
+        let gain = self.gain_value();
+        let (weighted_rms, se) =
+            rms_against(self.configs.iter().zip(&intensities).map(|(c, truth)| {
+                let weights = c.measured.map(|m| m.map_or(0.0, |_| c.weight));
+                let renders = c.renders.map(|r| r.map(|x| x / gain));
+                (weights, renders, c.rendered_se.map(|x| x / gain), *truth)
+            }));
         self.truth = Some(Truth {
             parameters,
             values,
@@ -323,25 +386,30 @@ impl FitResult {
     }
 }
 
-/// Two independent renders of a configuration beside what they are to show: weight, renders, standard error of the renders'
-/// mean, target.
-pub(super) type RenderedTarget = (f64, [[f64; CHANNELS]; 2], [f64; CHANNELS], [f64; CHANNELS]);
+/// Two independent renders of a configuration beside what they are to show: weights (0 where there is no target), renders,
+/// standard error of the renders' mean, target.
+pub(super) type RenderedTarget = (
+    NumberWeights,
+    [[f64; CHANNELS]; 2],
+    [f64; CHANNELS],
+    [f64; CHANNELS],
+);
 
 /// Weighted rms of rendered means against other intensities, and its standard error; unbiased below the root.
 pub(super) fn rms_against(rows: impl Iterator<Item = RenderedTarget>) -> (f64, f64) {
     let (mut value, mut variance, mut n) = (0.0, 0.0, 0);
-    for (weight, renders, se, target) in rows {
+    for (weights, renders, se, target) in rows {
         let mut of_configuration = 0.0_f64;
         for c in 0..CHANNELS {
             let e = renders.map(|r| r[c] - target[c]);
             // Each render has twice the variance of their mean.
             let s2 = 2.0 * se[c].powi(2);
-            value += weight * e[0] * e[1];
+            value += weights[c] * e[0] * e[1];
             // Channels of a configuration share paths: standard errors add.
-            of_configuration += (2.0 * (e[0] * e[1]).max(0.0) * s2 + s2 * s2).sqrt();
+            of_configuration += weights[c] * (2.0 * (e[0] * e[1]).max(0.0) * s2 + s2 * s2).sqrt();
         }
-        variance += (weight * of_configuration).powi(2);
-        n += CHANNELS;
+        variance += of_configuration.powi(2);
+        n += weights.iter().filter(|w| **w > 0.0).count();
     }
     let paired = PairedValue {
         value,

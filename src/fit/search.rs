@@ -131,9 +131,12 @@ impl Problem<'_> {
         let configurations = self.objective.configurations();
         let paths = (paths / 2).max(shares.len() as u64);
         let journal = self.journal.filter(|_| index < AFTER_INTERRUPT);
-        let asked = Asked::new(index, paths, shares, &parameters);
+        let seed = self.options.seed;
+        let asked = Asked::new(seed, index, paths, shares, &parameters);
+        let gain = self.space.gain_at(u);
         if let Some(renders) = journal.map(|j| j.recall(&asked)).transpose()?.flatten() {
-            return RenderPair::recalled(renders, &configurations, &parameters);
+            let pair = RenderPair::recalled(renders, &configurations, &parameters)?;
+            return Ok(pair.scaled(gain));
         }
         let effort = Effort::Total {
             paths,
@@ -144,14 +147,14 @@ impl Problem<'_> {
             &configurations,
             &parameters,
             &effort,
-            self.options.seed,
+            seed,
             index,
             watch,
         )?;
         if let Some(journal) = journal {
             journal.keep(asked, pair.renders())?;
         }
-        Ok(pair)
+        Ok(pair.scaled(gain))
     }
 }
 

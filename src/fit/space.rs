@@ -92,14 +92,19 @@ impl Axis {
     }
 }
 
-/// The box of a model's parameters in search coordinates, one per flat place.
+/// The box of a model's parameters in search coordinates, one per flat place, and one more where a gain is searched.
 #[derive(Debug, Clone)]
 pub(super) struct SearchSpace {
     template: Parameters,
     axes: Vec<Axis>,
     lower: Vec<f64>,
     upper: Vec<f64>,
+    /// Standard deviation of the prior of ln g, when the gain g is searched too: the last coordinate.
+    gain: Option<f64>,
 }
+
+/// How many standard deviations of its prior the gain may be away from 1.
+const GAIN_REACH: f64 = 5.0;
 
 impl SearchSpace {
     /// The space of the model `template` belongs to.
@@ -117,12 +122,33 @@ impl SearchSpace {
             lower: axes.iter().map(|a| a.to_search(a.lower)).collect(),
             upper: axes.iter().map(|a| a.to_search(a.upper)).collect(),
             axes,
+            gain: None,
         })
     }
 
-    /// Number of flat places.
+    /// The space with the logarithm of a gain as one more coordinate, with a prior of this standard deviation.
+    pub(super) fn with_gain(mut self, sd: Option<f64>) -> Self {
+        if let Some(sd) = sd {
+            self.lower.push(-GAIN_REACH * sd);
+            self.upper.push(GAIN_REACH * sd);
+        }
+        self.gain = sd;
+        self
+    }
+
+    /// The gain's coordinate and the standard deviation of its prior, if there is one.
+    pub(super) fn gain(&self) -> Option<(usize, f64)> {
+        self.gain.map(|sd| (self.axes.len(), sd))
+    }
+
+    /// By what renders at `u` are multiplied.
+    pub(super) fn gain_at(&self, u: &[f64]) -> f64 {
+        self.gain().map_or(1.0, |(place, _)| u[place].exp())
+    }
+
+    /// Number of coordinates: the model's flat places, and the gain.
     pub(super) fn len(&self) -> usize {
-        self.axes.len()
+        self.lower.len()
     }
 
     pub(super) fn lower(&self) -> &[f64] {
@@ -133,7 +159,7 @@ impl SearchSpace {
         &self.upper
     }
 
-    /// Search coordinates of parameter values.
+    /// Search coordinates of parameter values, without that of a gain.
     ///
     /// # Errors
     /// When a value is outside its bounds.
@@ -163,10 +189,10 @@ impl SearchSpace {
     /// Parameter values at `u`; coordinates on a side of the box give the bound exactly.
     pub(super) fn to_parameters(&self, u: &[f64]) -> Parameters {
         self.template
-            .with_values((0..self.len()).map(|j| self.value(j, u[j])).collect())
+            .with_values((0..self.axes.len()).map(|j| self.value(j, u[j])).collect())
     }
 
-    /// The value of place `j` at its coordinate.
+    /// The value of the model's place `j` at its coordinate.
     pub(super) fn value(&self, j: usize, u: f64) -> f64 {
         if u <= self.lower[j] {
             self.axes[j].lower
@@ -177,7 +203,7 @@ impl SearchSpace {
         }
     }
 
-    /// `d value / d u` per place.
+    /// `d value / d u` per place of the model.
     pub(super) fn slopes(&self, parameters: &Parameters) -> Vec<f64> {
         self.axes
             .iter()

@@ -34,8 +34,9 @@ pub enum Aim {
     Parameter(String),
 }
 
-/// A configuration that was measured, with the standard error of each mean; without one the stated relative error holds.
-pub type MeasuredPose = (Configuration, Option<[f64; CHANNELS]>);
+/// A configuration that was measured, with the standard error of each mean, none of a channel that was not measured. Without
+/// standard errors, or where one is 0, the stated relative error holds.
+pub type MeasuredPose = (Configuration, Option<[Option<f64>; CHANNELS]>);
 
 /// What a suggestion needs besides the scene and the poses.
 #[derive(Debug, Clone, PartialEq)]
@@ -208,7 +209,7 @@ impl Look<'_> {
     fn shots(
         &self,
         poses: &[Configuration],
-        known: impl Fn(usize) -> Option<[f64; CHANNELS]>,
+        known: impl Fn(usize) -> Option<[Option<f64>; CHANNELS]>,
         paths: u64,
         index: u64,
     ) -> Result<(Vec<[Estimate; 2]>, Vec<Shot>)> {
@@ -231,8 +232,12 @@ impl Look<'_> {
         } = *self.options;
         let shots = Shot::of_pair(self.place, poses, &pair, |i, mean| {
             let brightness = relative_error_weight(mean, TAU).sqrt().recip();
-            let own = known(i).unwrap_or([relative_error * brightness; CHANNELS]);
-            own.map(|se| se.hypot(model_error * brightness))
+            let stated = relative_error * brightness;
+            let own = known(i).unwrap_or([Some(stated); CHANNELS]);
+            own.map(|se| {
+                let se = se.map(|s| if s > 0.0 { s } else { stated });
+                se.map(|s| s.hypot(model_error * brightness))
+            })
         })?;
         let estimates = pair.estimates().map(|renders| renders.map(Clone::clone));
         Ok((estimates.collect(), shots))

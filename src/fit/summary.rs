@@ -1,7 +1,8 @@
 //! From where the search ended to a [`FitResult`]: a fresh pair judges, verdicts are put into words.
 
+use super::gain;
 use super::linear::{box_quadratic, inverse};
-use super::objective::{PairedValue, RenderPair, rms_of};
+use super::objective::{PairedValue, RenderPair, relative_weight, rms_of};
 use super::pool::Pool;
 use super::result::{
     ConfigurationResult, Correlation, Cost, FitResult, ObjectiveResult, ParameterResult, Verdict,
@@ -127,7 +128,8 @@ pub(super) fn summarize(
     let mut noise = found.model.monte_carlo.clone();
     noise.add_scaled(1.0, &found.model.measurement);
     let jacobian = &found.model.jacobian;
-    let gram = jacobian.weighted_gram(&found.model.weights, jacobian);
+    let bounded = objective.bounded();
+    let gram = jacobian.weighted_gram(bounded.weights().as_flattened(), jacobian);
     noise.add_scaled((0.01 * quality.misfit_percent).powi(2), &gram);
     let samples = Samples::draw(space, &found.u, &found.model, &noise, options.seed);
     let uncertainty = parameter_results(problem, start, found, &samples);
@@ -148,29 +150,33 @@ pub(super) fn summarize(
             .filter(|p| p.verdict == Verdict::NotDetermined)
             .map(|p| p.name.clone())
             .collect(),
+        gain: gain::result(space, &found.u, &samples),
+        loss: options.loss.name(),
         correlation: correlation(&parameters, &samples),
         uncertainty,
         configs: objective
             .intensities()
             .iter()
-            .zip(objective.weights())
+            .zip(objective.factors())
             .zip(check.pair.estimates())
-            .map(|((intensity, &weight), [a, b])| {
+            .map(|((intensity, &robust_weight), [a, b])| {
+                let weight = relative_weight(intensity);
                 let rendered: [f64; CHANNELS] =
                     std::array::from_fn(|c| 0.5 * (a.mean[c] + b.mean[c]));
-                let residual: [f64; CHANNELS] =
-                    std::array::from_fn(|c| rendered[c] - intensity.mean[c]);
+                let residual = intensity
+                    .where_present(std::array::from_fn(|c| rendered[c] - intensity.mean[c]));
                 ConfigurationResult {
                     configuration: intensity.configuration,
-                    measured: intensity.mean,
-                    measured_se: intensity.standard_error,
+                    measured: intensity.where_present(intensity.mean),
+                    measured_se: intensity.where_present(intensity.standard_error),
                     rendered,
                     rendered_se: std::array::from_fn(|c| {
                         0.5 * a.standard_error[c].hypot(b.standard_error[c])
                     }),
                     residual,
-                    relative_residual: residual.map(|r| r * weight.sqrt()),
+                    relative_residual: residual.map(|r| r.map(|r| r * weight.sqrt())),
                     weight,
+                    robust_weight,
                     renders: [a.mean, b.mean],
                     paths: a.paths + b.paths,
                 }
@@ -196,22 +202,19 @@ fn quality(problem: &Problem<'_>, found: &Found, check: &FreshCheck) -> Objectiv
     let objective = problem.objective;
     let n = objective.n_numbers();
     let (rms, rms_se) = rms_of(check.value, n);
-    let from_measurements: f64 = objective
-        .intensities()
-        .iter()
-        .zip(objective.weights())
-        .map(|(i, w)| w * i.standard_error.iter().map(|s| s * s).sum::<f64>())
-        .sum();
+    let from_measurements = objective.measurement_sum();
+    // Outliers that count less must not pass for a misfit of all.
+    let bounded = objective.bounded();
+    let judged = bounded.paired(&check.pair);
     // Expected when the model is right: measurement errors less what the fit absorbs of them, plus its own noise.
     let absorbed = n as f64 * found.measurement_rms.powi(2);
     let own = n as f64 * found.monte_carlo_rms.powi(2);
-    let expected = (from_measurements - absorbed).max(0.0) + own;
+    let expected = (bounded.measurement_sum() - absorbed).max(0.0) + own;
     let freedom = n.saturating_sub(problem.space.len()).max(1) as f64;
-    let spread = check
-        .value
+    let spread = judged
         .standard_error
         .hypot(expected * (2.0 / freedom).sqrt());
-    let excess = check.value.value - expected;
+    let excess = judged.value - expected;
     let misfit = if excess > 3.0 * spread {
         (excess / n as f64).sqrt()
     } else {
@@ -288,7 +291,8 @@ fn verdict(
         );
     }
     let tolerated = options.tolerance.powi(2) * n;
-    if check.value.value - 2.0 * check.value.standard_error > tolerated {
+    let judged = problem.objective.bounded().paired(&check.pair);
+    if judged.value - 2.0 * judged.standard_error > tolerated {
         return (
             false,
             format!(
@@ -319,7 +323,7 @@ fn parameter_results(
         .places()
         .into_iter()
         .enumerate()
-        .map(|(j, (row, _))| {
+        .map(|(j, (row, channel))| {
             let info = &start.infos()[row];
             let (unit, scale) = match info.unit {
                 Unit::One => ("1", 1.0),
@@ -327,7 +331,12 @@ fn parameter_results(
             };
             let value = |u: f64| scale * space.value(j, u);
             let u = found.u[j];
-            let outer = samples.interval(space, j, 0.95, found.u[j]);
+            let seen = !info.per_channel || problem.objective.sees(channel);
+            let interval = |level: f64| match seen {
+                true => samples.interval(space, j, level, found.u[j]),
+                false => [space.lower()[j], space.upper()[j]],
+            };
+            let outer = interval(0.95);
             let share = (outer[1] - outer[0]) / (space.upper()[j] - space.lower()[j]);
             let verdict = if share > NOT {
                 Verdict::NotDetermined
@@ -349,13 +358,20 @@ fn parameter_results(
                 lower_bound: scale * info.lower,
                 upper_bound: scale * info.upper,
                 standard_error: 0.5 * (value(u + half) - value(u - half)),
-                interval_68: samples.interval(space, j, 0.68, found.u[j]).map(value),
+                interval_68: interval(0.68).map(value),
                 interval_95: outer.map(value),
                 range_share: share,
                 verdict,
                 sentence: String::new(),
             };
-            result.sentence = sentence(&result);
+            result.sentence = match seen {
+                true => sentence(&result),
+                false => format!(
+                    "{} is not determined: no measurement sees its channel; it stays at its start {}",
+                    result.name,
+                    three_digits(result.value)
+                ),
+            };
             result
         })
         .collect()
@@ -400,12 +416,13 @@ fn sentence(p: &ParameterResult) -> String {
 
 fn correlation(parameters: &Parameters, samples: &Samples) -> Correlation {
     let matrix = &samples.correlation;
+    let names = parameters.flat_names();
+    // The gain, the last coordinate, is no parameter.
+    let p = names.len();
     Correlation {
-        search_sd: samples.sd.clone(),
-        names: parameters.flat_names(),
-        matrix: (0..matrix.n_rows())
-            .map(|i| matrix.row(i).to_vec())
-            .collect(),
+        search_sd: samples.sd[..p].to_vec(),
+        names,
+        matrix: (0..p).map(|i| matrix.row(i)[..p].to_vec()).collect(),
     }
 }
 

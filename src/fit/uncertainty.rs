@@ -205,6 +205,9 @@ fn precision(space: &SearchSpace, u: &[f64], model: &LinearModel, noise: &Matrix
             }
         }
     }
+    if let Some((place, sd)) = space.gain() {
+        precision[(place, place)] += 1.0 / (sd * sd);
+    }
     precision
 }
 

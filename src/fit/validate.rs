@@ -8,10 +8,11 @@
 
 use super::information::{self, Place, Seen, Shot};
 use super::linear::Matrix;
-use super::objective::{Objective, RenderPair, TAU};
+use super::objective::{Objective, RenderPair, TAU, relative_weight};
 use super::options::{Budget, Options};
 use super::predict::{Compared, Comparison, Prediction, compare, parameters_of, predict};
 use super::result::FitResult;
+use super::robust::Loss;
 use crate::base::{Error, Result, Watch};
 use crate::render::{Effort, Scene, relative_error_weight};
 use crate::scatter::CHANNELS;
@@ -67,6 +68,8 @@ pub fn validate(
                 let options = Options {
                     start: Some(parameters_of(scene, full)?),
                     tolerance: 0.01 * full.tolerance_percent,
+                    loss: Loss::named(&full.loss)?,
+                    gain_prior: full.gain.as_ref().map(|g| g.prior_sd),
                     ..Options::new(seed, *budget)
                 };
                 let without = super::fit(scene, &rest, &options, watch)?;
@@ -180,23 +183,27 @@ impl Linear {
             seed,
             LINEAR_INDEX,
             watch,
-        )?;
+        )?
+        .scaled(full.gain_value());
         let model_error = 0.01 * full.objective.misfit_percent;
         let measured_error = 0.01 * full.objective.measurement_rms_percent;
         // Exact data would leave no room for a prior: a ten thousandth is too small to matter.
         let error = measured_error.hypot(model_error).max(1e-4);
         let unit: Vec<f64> = objective
-            .weights()
+            .intensities()
             .iter()
-            .map(|w| error / w.sqrt())
+            .map(|i| error / relative_weight(i).sqrt())
             .collect();
         let free: Vec<usize> = (0..place.len())
             .filter(|&j| place.u[j] > place.space.lower()[j] && place.u[j] < place.space.upper()[j])
             .collect();
-        let shots = Shot::of_pair(&place, &configurations, &pair, |i, _| [unit[i]; CHANNELS])?
-            .iter()
-            .map(|shot| shot.by(&free))
-            .collect();
+        let shots = Shot::of_pair(&place, &configurations, &pair, |i, _| {
+            let present = objective.intensities()[i].present;
+            present.map(|p| p.then_some(unit[i]))
+        })?
+        .iter()
+        .map(|shot| shot.by(&free))
+        .collect();
         let measured = objective.intensities().to_vec();
         Ok(Self {
             residuals: pair
@@ -258,9 +265,13 @@ impl Linear {
 
     /// Mean whitened variance of a configuration's numbers.
     fn variance(&self, i: usize) -> f64 {
-        let se = self.measured[i].standard_error.map(|s| s / self.unit[i]);
-        let squares: f64 = se.iter().map(|s| s * s).sum();
-        squares / CHANNELS as f64 + (self.model_error / self.error).powi(2)
+        let measured = self.measured[i].where_present(self.measured[i].standard_error);
+        let (mut squares, mut n) = (0.0, 0.0);
+        for se in measured.into_iter().flatten() {
+            squares += (se / self.unit[i]).powi(2);
+            n += 1.0;
+        }
+        squares / n + (self.model_error / self.error).powi(2)
     }
 
     /// Whitened residual of a configuration in one of the renders.

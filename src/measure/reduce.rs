@@ -123,6 +123,7 @@ impl Reducer<'_> {
             configuration: reading.configuration,
             mean,
             standard_error: report.budget.map(|b| b.total()),
+            present: [true; 3],
         });
         Ok((intensity, report))
     }

@@ -13,7 +13,7 @@ pub(super) fn scatter(result: &FitResult) -> String {
     let values = result
         .configs
         .iter()
-        .flat_map(|c| c.measured.into_iter().chain(c.rendered));
+        .flat_map(|c| c.measured.into_iter().flatten().chain(c.rendered));
     let (low, high) = log_range(values);
     let x = Axis {
         scale: Scale::Logarithmic,
@@ -38,12 +38,10 @@ pub(super) fn scatter(result: &FitResult) -> String {
     d.line("identity", x.at(low), y.at(low), x.at(high), y.at(high));
     for c in &result.configs {
         for k in 0..3 {
-            let (m, m_se, r, r_se) = (
-                c.measured[k],
-                c.measured_se[k],
-                c.rendered[k],
-                c.rendered_se[k],
-            );
+            let (Some(m), Some(m_se)) = (c.measured[k], c.measured_se[k]) else {
+                continue;
+            };
+            let (r, r_se) = (c.rendered[k], c.rendered_se[k]);
             let bar = format!("bar c{k}");
             d.line(&bar, x.at(m - m_se), y.at(r), x.at(m + m_se), y.at(r));
             d.line(&bar, x.at(m), y.at(r - r_se), x.at(m), y.at(r + r_se));
@@ -71,9 +69,13 @@ fn legend(d: &mut Drawing, x: f64, y: f64) {
     }
 }
 
-/// Standard error of a relative residual, percent.
-pub(super) fn residual_se_percent(c: &ConfigurationResult, channel: usize) -> f64 {
-    100.0 * c.weight.sqrt() * c.measured_se[channel].hypot(c.rendered_se[channel])
+/// A relative residual and its standard error, percent; none where nothing was measured.
+pub(super) fn residual_percent(c: &ConfigurationResult, channel: usize) -> Option<(f64, f64)> {
+    let se = c.measured_se[channel]?.hypot(c.rendered_se[channel]);
+    Some((
+        100.0 * c.relative_residual[channel]?,
+        100.0 * c.weight.sqrt() * se,
+    ))
 }
 
 /// Relative residual per configuration and channel, with one standard error of measurement and render together.
@@ -83,9 +85,8 @@ pub(super) fn residuals(result: &FitResult) -> String {
     let reach = result
         .configs
         .iter()
-        .flat_map(|c| {
-            (0..3).map(|k| 100.0 * c.relative_residual[k].abs() + residual_se_percent(c, k))
-        })
+        .flat_map(|c| (0..3).filter_map(|k| residual_percent(c, k)))
+        .map(|(value, se)| value.abs() + se)
         .fold(1.0_f64, f64::max)
         .min(300.0);
     let (left, right) = (46.0, WIDTH - 8.0);
@@ -105,8 +106,9 @@ pub(super) fn residuals(result: &FitResult) -> String {
         let start = left + band * (i as f64 + 0.14);
         let width = band * 0.72 / 3.0;
         for k in 0..3 {
-            let value = 100.0 * c.relative_residual[k];
-            let se = residual_se_percent(c, k);
+            let Some((value, se)) = residual_percent(c, k) else {
+                continue;
+            };
             let at = start + width * k as f64;
             let (top, bottom) = (y.at(value.max(0.0)), y.at(value.min(0.0)));
             d.rectangle(

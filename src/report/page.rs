@@ -255,6 +255,13 @@ fn headline(result: &FitResult) -> String {
             number(o.misfit_percent, 2)
         );
     }
+    let asides = [
+        result.gain.as_ref().map(|g| g.sentence.clone()),
+        result.outliers_in_words(),
+    ];
+    for aside in asides.into_iter().flatten() {
+        html += &format!("<p>{}.</p>\n", escape(&aside));
+    }
     let doubtful: Vec<String> = result
         .uncertainty
         .iter()
@@ -323,6 +330,7 @@ fn configuration_table(result: &FitResult) -> String {
         .configs
         .iter()
         .flat_map(|c| c.relative_residual)
+        .flatten()
         .fold(0.02_f64, |m, r| m.max(r.abs()));
     let mut html = String::from(
         "<p class=\"soft\">Residual of the final check, percent of the configuration's brightness; polar angle / azimuth in \
@@ -333,7 +341,8 @@ fn configuration_table(result: &FitResult) -> String {
         let angles = |d: crate::math::PolarDirection| {
             format!("{:.0}° / {:.0}°", d.theta.to_degrees(), d.phi.to_degrees())
         };
-        let list = |v: [f64; 3]| v.map(|x| number(x, 3)).join(", ");
+        let one = |x: Option<f64>| x.map_or("-".to_owned(), |x| number(x, 3));
+        let list = |v: [Option<f64>; 3]| v.map(one).join(", ");
         let pose = &c.configuration;
         html += &format!(
             "<tr><td>{}</td><td>{}</td><td>{}</td><td>{:.0}°</td>",
@@ -343,18 +352,18 @@ fn configuration_table(result: &FitResult) -> String {
             pose.rotation.to_degrees()
         );
         for k in 0..3 {
-            let r = c.relative_residual[k];
-            html += &format!(
-                "<td style=\"{}\">{:+.1} ± {:.1}</td>",
-                tint(r / reach),
-                100.0 * r,
-                charts::residual_se_percent(c, k)
+            html += &charts::residual_percent(c, k).map_or_else(
+                || "<td>not measured</td>".to_owned(),
+                |(r, se)| {
+                    let style = tint(0.01 * r / reach);
+                    format!("<td style=\"{style}\">{r:+.1} ± {se:.1}</td>")
+                },
             );
         }
         html += &format!(
             "<td>{}</td><td>{}</td></tr>\n",
             list(c.measured),
-            list(c.rendered)
+            list(c.rendered.map(Some))
         );
     }
     html + "</table></div>\n"

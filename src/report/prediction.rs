@@ -18,7 +18,10 @@ pub fn prediction_chart(comparison: &Comparison) -> String {
         HEIGHT,
         "Predicted against measured intensities",
     );
-    let values = |r: &Compared| r.measured.mean.into_iter().chain(r.prediction.mean);
+    let values = |r: &Compared| {
+        let measured = r.measured.where_present(r.measured.mean);
+        measured.into_iter().flatten().chain(r.prediction.mean)
+    };
     let (low, high) = log_range(comparison.rows.iter().flat_map(values));
     for k in 0..3 {
         let left = PANEL * k as f64;
@@ -36,7 +39,7 @@ pub fn prediction_chart(comparison: &Comparison) -> String {
         let name = format!("predicted, {}", CHANNELS[k]);
         d.axes(&x, &y, "measured normalized radiance", &name);
         d.line("identity", x.at(low), y.at(low), x.at(high), y.at(high));
-        for row in &comparison.rows {
+        for row in comparison.rows.iter().filter(|r| r.measured.present[k]) {
             point(&mut d, row, k, &x, &y);
         }
     }
@@ -85,9 +88,10 @@ mod tests {
                 configuration,
                 mean: [0.11, 0.21, 0.31],
                 standard_error: [0.01; 3],
+                present: [true; 3],
             },
-            residual: [-0.01; 3],
-            z: [-0.9; 3],
+            residual: [Some(-0.01); 3],
+            z: [Some(-0.9); 3],
         };
         let svg = prediction_chart(&Comparison {
             rows: vec![row],

@@ -15,10 +15,19 @@ use std::path::Path;
 pub struct Intensity {
     /// Where light, camera and turntable stood.
     pub configuration: Configuration,
-    /// Normalized radiance per channel.
+    /// Normalized radiance per channel; of one that is not `present` without meaning.
     pub mean: [f64; 3],
     /// Standard error of each mean (one standard deviation).
     pub standard_error: [f64; 3],
+    /// Which channels were measured; at least one.
+    pub present: [bool; 3],
+}
+
+impl Intensity {
+    /// Something per channel, where the channel was measured.
+    pub fn where_present<T: Copy>(&self, of: [T; 3]) -> [Option<T>; 3] {
+        std::array::from_fn(|c| self.present[c].then_some(of[c]))
+    }
 }
 
 /// All intensities of a session, one per configuration.
@@ -36,18 +45,30 @@ struct Row {
     camera_theta_deg: f64,
     camera_phi_deg: f64,
     rotation_deg: f64,
-    r: f64,
-    g: f64,
-    b: f64,
-    r_se: f64,
-    g_se: f64,
-    b_se: f64,
+    r: Option<f64>,
+    g: Option<f64>,
+    b: Option<f64>,
+    r_se: Option<f64>,
+    g_se: Option<f64>,
+    b_se: Option<f64>,
 }
+
+/// The columns of a [`Row`]: those of the pose, then each channel's two.
+const POSE_COLUMNS: [&str; 6] = [
+    "config",
+    "light_theta_deg",
+    "light_phi_deg",
+    "camera_theta_deg",
+    "camera_phi_deg",
+    "rotation_deg",
+];
+const CHANNEL_COLUMNS: [[&str; 2]; 3] = [["r", "r_se"], ["g", "g_se"], ["b", "b_se"]];
 
 impl From<&Intensity> for Row {
     fn from(i: &Intensity) -> Self {
         let c = ConfigurationRow::from(i.configuration);
-        let ([r, g, b], [r_se, g_se, b_se]) = (i.mean, i.standard_error);
+        let [r, g, b] = i.where_present(i.mean);
+        let [r_se, g_se, b_se] = i.where_present(i.standard_error);
         Self {
             config: c.config,
             light_theta_deg: c.light_theta_deg,
@@ -78,29 +99,68 @@ impl Row {
         .checked()?;
         let mean = [self.r, self.g, self.b];
         let standard_error = [self.r_se, self.g_se, self.b_se];
-        check_numbers(self.config, mean, standard_error)?;
-        Ok(Intensity {
-            configuration,
-            mean,
-            standard_error,
-        })
+        checked_intensity(configuration, mean, standard_error)
     }
 }
 
-/// Fails on a number that cannot be an intensity or its standard error.
-pub(super) fn check_numbers(config: u32, mean: [f64; 3], standard_error: [f64; 3]) -> Result<()> {
-    for (name, value) in ["r", "g", "b", "r_se", "g_se", "b_se"]
-        .iter()
-        .zip(mean.iter().chain(&standard_error))
-    {
-        if !(0.0..1e6).contains(value) {
-            return Err(Error::new(format!(
-                "configuration {config}: {name} is {value}, expected a finite number >= 0"
-            ))
-            .with_hint("intensities are normalized radiance, pi L / E_normal; leave out a configuration that was not measured"));
+/// An intensity from numbers of which some may not have been measured.
+///
+/// # Errors
+/// A number cannot be an intensity or its standard error, one stands without the other, or there is none.
+pub(super) fn checked_intensity(
+    configuration: Configuration,
+    mean: [Option<f64>; 3],
+    standard_error: [Option<f64>; 3],
+) -> Result<Intensity> {
+    let config = configuration.id;
+    for (c, [name, se_name]) in CHANNEL_COLUMNS.into_iter().enumerate() {
+        for (name, value) in [(name, mean[c]), (se_name, standard_error[c])] {
+            if let Some(value) = value.filter(|v| !(0.0..1e6).contains(v)) {
+                return Err(Error::new(format!(
+                    "configuration {config}: {name} is {value}, expected a finite number >= 0"
+                ))
+                .with_hint("intensities are normalized radiance, pi L / E_normal; leave the cells of a channel that was not measured empty"));
+            }
         }
+        let (lacking, given) = match (mean[c], standard_error[c]) {
+            (Some(_), None) => (se_name, name),
+            (None, Some(_)) => (name, se_name),
+            _ => continue,
+        };
+        return Err(Error::new(format!(
+            "configuration {config}: {given} is given but {lacking} is missing"
+        ))
+        .with_hint("give both, or neither where the channel was not measured"));
     }
-    Ok(())
+    if mean == [None; 3] {
+        return Err(
+            Error::new(format!("configuration {config}: no channel was measured"))
+                .with_hint("leave out a configuration that was not measured"),
+        );
+    }
+    Ok(Intensity {
+        configuration,
+        mean: mean.map(|m| m.unwrap_or(0.0)),
+        standard_error: standard_error.map(|s| s.unwrap_or(0.0)),
+        present: mean.map(|m| m.is_some()),
+    })
+}
+
+/// Fails where a channel has no columns and a column has no meaning: that is a misspelled name rather than a camera with fewer
+/// channels.
+fn check_columns(header: &csv::StringRecord) -> Result<()> {
+    let has = |name: &str| header.iter().any(|h| h == name);
+    let lacking = CHANNEL_COLUMNS
+        .iter()
+        .find(|pair| !pair.iter().any(|n| has(n)));
+    let known = |h: &str| POSE_COLUMNS.contains(&h) || CHANNEL_COLUMNS.as_flattened().contains(&h);
+    match (lacking, header.iter().find(|h| !known(h))) {
+        (Some([name, _]), Some(strange)) => Err(Error::new(format!(
+            "there is no column {name}, and the column '{strange}' has no meaning"
+        ))
+        .with_hint("the channels are r, g and b, each with its standard error (r_se, ..); leave out those not measured")),
+        _ => Ok(()),
+    }
 }
 
 impl Measurements {
@@ -109,9 +169,12 @@ impl Measurements {
     /// ([`super::MeasurementRecord`]), which begins with a brace. A table of another quantity says so in a comment
     /// (`# quantity: brdf`) and is converted back.
     ///
+    /// A channel that was not measured in a configuration has empty cells (`null` in JSON), one that was never measured may
+    /// have no columns: a camera with one channel writes `g, g_se` only (or that of its filter).
+    ///
     /// # Errors
-    /// The file cannot be read, a column or number is missing, an id is repeated, an angle is out of range, or an
-    /// intensity is negative or not finite.
+    /// The file cannot be read, a pose is not whole, a configuration has no number, a number no standard error, an id is
+    /// repeated, an angle is out of range, or an intensity is negative or not finite.
     pub fn read(path: &Path) -> Result<Self> {
         Ok(Self::read_with_origin(path)?.0)
     }
@@ -145,6 +208,7 @@ impl Measurements {
             .trim(csv::Trim::All)
             .comment(Some(b'#'))
             .from_reader(text.as_bytes());
+        check_columns(reader.headers().context(|| "not a table")?)?;
         let mut intensities = Vec::new();
         for (i, row) in reader.deserialize::<Row>().enumerate() {
             let row = row.context(|| format!("row {}", i + 1))?;
@@ -200,6 +264,12 @@ impl Measurements {
             .into_inner()
             .context(|| "measurements cannot be written as CSV")?;
         String::from_utf8(bytes).context(|| "measurements cannot be written as CSV")
+    }
+
+    /// How many numbers were measured.
+    pub fn n_numbers(&self) -> usize {
+        let present = self.intensities.iter().flat_map(|i| i.present);
+        present.filter(|p| *p).count()
     }
 
     /// The poses of all rows, in order.
@@ -290,5 +360,27 @@ mod tests {
         assert!(error(HEAD.to_owned()).contains("no configurations"));
         assert!(error(format!("{HEAD}{ROW}{ROW}")).contains("occurs twice"));
         assert!(error(format!("{}{ROW}", HEAD.replace("r_se", "x"))).contains("r_se"));
+        let other = HEAD.replace("r,g", "red,g").replace("r_se", "red_se");
+        assert!(error(format!("{other}{ROW}")).contains("no column r, and the column 'red'"));
+        let no_se = ROW.replace("0.002,", ",");
+        assert!(error(format!("{HEAD}{no_se}")).contains("g is given but g_se is missing"));
+        let pose = "1,80,180,80,0,0";
+        assert!(error(format!("{HEAD}{pose},,,,,,\n")).contains("configuration 1: no channel"));
+    }
+
+    #[test]
+    fn empty_cells_and_absent_columns_are_numbers_that_were_not_measured() {
+        let empty = ROW.replace("0.2,", ",").replace("0.002,", ",");
+        let m = Measurements::from_csv(&format!("{HEAD}{empty}")).unwrap();
+        assert_eq!(m.intensities[0].present, [true, false, true]);
+        assert_eq!(m.n_numbers(), 2);
+        let text = m.to_csv().unwrap();
+        assert!(text.contains(",0.3,0.001,,0.003"), "{text}");
+        assert_eq!(Measurements::from_csv(&text).unwrap(), m);
+        let head = HEAD.replace("r,g,b,r_se,g_se,b_se", "g,g_se");
+        let one = Measurements::from_csv(&format!("{head}1,80,180,80,0,0,0.2,0.002\n")).unwrap();
+        assert_eq!(one.intensities[0].present, [false, true, false]);
+        assert!((one.intensities[0].mean[1] - 0.2).abs() < 1e-15);
+        assert_eq!(Measurements::from_csv(&one.to_csv().unwrap()).unwrap(), one);
     }
 }

@@ -98,6 +98,7 @@ mod tests {
                 },
                 mean: [theta.to_radians().cos(); 3],
                 standard_error: [0.5 * theta.to_radians().cos(); 3],
+                present: [true; 3],
             };
             let (factor, se) = Quantity::RadianceFactor.of(&intensity);
             let (brdf, _) = Quantity::Brdf.of(&intensity);

@@ -1,8 +1,8 @@
 //! `measurements.json`: the intensities with all that is known about them, so that the file stands by itself.
 
-use super::measurements::check_numbers;
+use super::measurements::checked_intensity;
 use super::plan::check_ids;
-use super::{Configuration, Intensity, Measurements, Quantity};
+use super::{Configuration, Measurements, Quantity};
 use crate::base::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -65,10 +65,10 @@ pub struct RecordedConfiguration {
     pub condition: String,
     /// What the operator should know.
     pub message: Option<String>,
-    /// Normalized radiance, r, g, b; none when it was left out.
-    pub mean: Option<[f64; 3]>,
+    /// Normalized radiance, r, g, b; none when it was left out, or of a channel that was not measured.
+    pub mean: Option<[Option<f64>; 3]>,
     /// Its standard error (one standard deviation).
-    pub standard_error: Option<[f64; 3]>,
+    pub standard_error: Option<[Option<f64>; 3]>,
     /// Where the standard error comes from: one standard deviation by source, r, g, b.
     pub budget: BTreeMap<String, [f64; 3]>,
     /// Exposures used, milliseconds.
@@ -156,12 +156,7 @@ impl MeasurementRecord {
         let mut intensities = Vec::new();
         for c in &self.configurations {
             if let (Some(mean), Some(standard_error)) = (c.mean, c.standard_error) {
-                check_numbers(c.configuration.id, mean, standard_error)?;
-                intensities.push(Intensity {
-                    configuration: c.configuration,
-                    mean,
-                    standard_error,
-                });
+                intensities.push(checked_intensity(c.configuration, mean, standard_error)?);
             }
         }
         check_ids(intensities.iter().map(|i| i.configuration.id))?;

@@ -171,6 +171,7 @@ impl Toy {
                     configuration,
                     mean: exact.map(|m| (m + se * random.normal()).max(0.0)),
                     standard_error: [se; 3],
+                    present: [true; 3],
                 }
             })
             .collect();
@@ -198,8 +199,8 @@ impl Toy {
 
     fn estimate_one(&self, request: &Request<'_>, i: usize, paths: u64) -> Estimate {
         let p = request.parameters;
-        // Configurations are known by their ids: a request may leave some out.
-        let place = request.configurations[i].id as usize - 1;
+        // Configurations are known by their ids: a request may leave some out; 17 repeats the pose of 1.
+        let place = (request.configurations[i].id as usize - 1) % 16;
         let exact: Vec<_> = (0..3).map(|c| self.exact(p.values(), place, c)).collect();
         // A path hits with probability q and then carries an exponential weight: relative variance (2 - q) / q.
         let q = 2.0 / (1.0 + self.path_sd[place].powi(2));

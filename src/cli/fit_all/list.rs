@@ -6,7 +6,7 @@
 use crate::base::{Context, Error, Result};
 use crate::cli::fit::{self, Asked};
 use crate::cli::inputs;
-use crate::fit::Method;
+use crate::fit::{Loss, Method};
 use crate::scatter;
 use crate::session::files;
 use serde::Deserialize;
@@ -74,6 +74,8 @@ struct OptionSet {
     iterations: Option<u32>,
     #[serde(default)]
     rates: Vec<f64>,
+    loss: Option<String>,
+    gain_prior: Option<Quantity>,
 }
 
 /// A number, or a text with its unit as on a command line.
@@ -260,6 +262,8 @@ impl Combination<'_> {
             rates: o.rates.clone(),
         };
         schedule.check(Method::named(method)?)?;
+        let loss = o.loss.as_deref().unwrap_or(fit::LOSS);
+        Loss::named(loss)?;
         let read = |quantity: &Option<Quantity>, name: &str, parse: fn(&str) -> _| {
             quantity.as_ref().map(|q| q.read(name, parse)).transpose()
         };
@@ -282,6 +286,8 @@ impl Combination<'_> {
                 paths: o.paths,
                 accuracy: read(&o.accuracy, "accuracy", inputs::fraction)?,
                 tolerance,
+                loss: loss.to_owned(),
+                gain_prior: read(&o.gain_prior, "gain_prior", inputs::fraction)?,
                 schedule,
             },
         })

@@ -138,15 +138,13 @@ impl Known {
     fn of_fit(path: &Path) -> Result<Self> {
         let result = inputs::fit_result(path)?;
         let model = scatter::model(&result.model)?;
-        // Errors of synthetic measurements may be zero: then the stated relative error stands for them.
-        let known = |se: [f64; 3]| se.iter().all(|s| *s > 0.0).then_some(se);
         let measured = result.configs.iter();
         let rms = 0.01 * result.objective.measurement_rms_percent;
         Ok(Self {
             model,
             parameters: Parameters::from_json(model, &result.parameters)?,
             measured: measured
-                .map(|c| (c.configuration, known(c.measured_se)))
+                .map(|c| (c.configuration, Some(c.measured_se)))
                 .collect(),
             relative_error: (rms > 0.0).then_some(rms),
             model_error: 0.01 * result.objective.misfit_percent,

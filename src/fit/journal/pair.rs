@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::fit) struct Asked {
+    /// Of this stage of the fit.
+    pub(in crate::fit) seed: u64,
     pub(in crate::fit) index: u64,
     /// Camera paths of each of the two renders.
     pub(in crate::fit) paths: u64,
@@ -17,17 +19,24 @@ pub(in crate::fit) struct Asked {
 
 impl Asked {
     pub(in crate::fit) fn new(
+        seed: u64,
         index: u64,
         paths: u64,
         shares: &[f64],
         parameters: &Parameters,
     ) -> Self {
         Self {
+            seed,
             index,
             paths,
             shares: shares.to_vec(),
             parameters: parameters.values().to_vec(),
         }
+    }
+
+    /// Which pair of a fit it is.
+    pub(super) fn key(&self) -> (u64, u64) {
+        (self.seed, self.index)
     }
 
     /// In words, what differs when `now` is asked.

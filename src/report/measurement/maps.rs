@@ -26,11 +26,11 @@ fn color(t: f64) -> String {
     format!("rgb({r:.0},{g:.0},{b:.0})")
 }
 
-/// BRDF, mean of the three channels.
+/// BRDF, mean of the channels measured.
 fn brightness(c: &RecordedConfiguration) -> Option<f64> {
-    let mean = c.mean?;
+    let mean: Vec<f64> = c.mean?.into_iter().flatten().collect();
     let cos = c.configuration.light.theta.cos();
-    Some(mean.iter().sum::<f64>() / (3.0 * PI * cos))
+    (!mean.is_empty()).then(|| mean.iter().sum::<f64>() / (mean.len() as f64 * PI * cos))
 }
 
 /// Configurations by exitant direction in the sample frame, rounded to a tenth of a degree.

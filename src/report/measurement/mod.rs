@@ -118,11 +118,14 @@ fn headline(record: &MeasurementRecord) -> String {
     }
     let planned = record.configurations.len();
     let measured = record.configurations.iter().filter(|c| c.mean.is_some());
-    let measured = measured.count();
+    let numbers = measured
+        .clone()
+        .flat_map(|c| c.mean.into_iter().flatten().flatten());
+    let (measured, numbers) = (measured.count(), numbers.count());
     html += &format!(
         "<p class=\"lead\"><strong>{measured} of {planned}</strong> configurations measured: {} mean intensities with their standard errors.</p>\n\
          <p class=\"soft\">{} ({}). {}; channels: {}.</p>\n",
-        3 * measured,
+        numbers,
         escape(&record.quantity.replace('_', " ")),
         escape(&record.definition),
         unit_words(&record.unit),
@@ -191,7 +194,10 @@ fn figure(look: &Look) -> String {
 }
 
 /// A mean with its standard error: two significant digits of the error.
-fn plus_minus(mean: f64, standard_error: f64) -> String {
+fn plus_minus(mean: Option<f64>, standard_error: Option<f64>) -> String {
+    let (Some(mean), Some(standard_error)) = (mean, standard_error) else {
+        return "not measured".to_owned();
+    };
     let decimals = if standard_error > 0.0 {
         (1.0 - standard_error.log10().floor()).clamp(0.0, 9.0) as usize
     } else {
@@ -235,9 +241,13 @@ mod tests {
 
     #[test]
     fn errors_have_two_digits() {
-        assert_eq!(plus_minus(0.123_456, 0.001_23), "0.1235 ± 0.0012");
-        assert_eq!(plus_minus(12.3, 4.56), "12.3 ± 4.6");
-        assert_eq!(plus_minus(1234.5, 210.0), "1234 ± 210");
-        assert_eq!(plus_minus(0.5, 0.0), "0.500000 ± 0.000000");
+        assert_eq!(
+            plus_minus(Some(0.123_456), Some(0.001_23)),
+            "0.1235 ± 0.0012"
+        );
+        assert_eq!(plus_minus(Some(12.3), Some(4.56)), "12.3 ± 4.6");
+        assert_eq!(plus_minus(Some(1234.5), Some(210.0)), "1234 ± 210");
+        assert_eq!(plus_minus(Some(0.5), Some(0.0)), "0.500000 ± 0.000000");
+        assert_eq!(plus_minus(None, None), "not measured");
     }
 }

@@ -80,7 +80,8 @@ pub(super) fn intensities(record: &MeasurementRecord) -> String {
                 let cells: String = (0..3)
                     .map(|k| format!("<td>{}</td>", plus_minus(mean[k], se[k])))
                     .collect();
-                let worst = (0..3).map(|k| se[k] / mean[k]).fold(0.0, f64::max);
+                let relative = (0..3).filter_map(|k| Some(se[k]? / mean[k]?));
+                let worst = relative.fold(0.0, f64::max);
                 format!("{cells}<td>{}</td>", percent(worst))
             }
             _ => {
@@ -173,6 +174,9 @@ fn budget_table(record: &MeasurementRecord, sources: &[String]) -> String {
             continue;
         };
         for k in 0..3 {
+            let (Some(mean), Some(se)) = (mean[k], se[k]) else {
+                continue;
+            };
             let all = total_variance(c, k);
             let share = |s: &str| {
                 let part = c.budget.get(s).map_or(0.0, |p| p[k].powi(2));
@@ -182,12 +186,12 @@ fn budget_table(record: &MeasurementRecord, sources: &[String]) -> String {
                 "<tr><td>{}</td><td class=\"left\">{}</td><td>{}</td><td>{}</td>",
                 c.configuration.id,
                 CHANNELS[k],
-                percent(se[k] / mean[k]),
+                percent(se / mean),
                 bar(sources, share)
             );
             for s in sources {
                 let part = c.budget.get(s).map_or(0.0, |p| p[k]);
-                html += &format!("<td>{}</td>", percent(part / mean[k]));
+                html += &format!("<td>{}</td>", percent(part / mean));
             }
             html += "</tr>\n";
         }
