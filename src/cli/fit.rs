@@ -17,6 +17,7 @@ Examples:
   goniofit fit --measurements session/measurements.csv --fabric fabrics/gabardine.toml --out fit
   goniofit fit --measurements M.csv --fabric F.toml --seed 7 --paths 5000000 --out fit --json
   goniofit fit --measurements M.csv --fabric F.toml --accuracy 1% --time 10m --start fit/fit.json --out finer
+  goniofit fit --measurements M.csv --fabric F.toml --per-system --start fit/fit.json --out warp_and_weft
   goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
   goniofit fit --measurements M.csv --fabric F.toml --method adam --rates 0.2 --iterations 300 --time 10m --out adam
 
@@ -53,6 +54,9 @@ pub(crate) struct Asked {
     /// Scattering model
     #[arg(long, default_value = MODEL)]
     pub(crate) model: String,
+    /// Parameters of their own for warp and weft: the model called <MODEL>-per-system
+    #[arg(long)]
+    pub(crate) per_system: bool,
     /// How to search: gauss-newton, sgd or adam
     #[arg(long, default_value = METHOD)]
     pub(crate) method: String,
@@ -170,7 +174,10 @@ impl Asked {
 
     /// Reads everything the fit needs and builds its scene.
     pub(crate) fn read(&self) -> Result<Ready> {
-        let model = scatter::model(&self.model)?;
+        let mut model = scatter::model(&self.model)?;
+        if self.per_system {
+            model = scatter::per_system(model)?;
+        }
         let start = self.start.as_deref();
         let mut options = Options {
             method: Method::named(&self.method)?,
@@ -246,6 +253,9 @@ impl Asked {
         let rates: Vec<String> = schedule.rates.iter().map(f64::to_string).collect();
         option("rates", (!rates.is_empty()).then(|| rates.join(",")));
         option("out", path(out));
+        if self.per_system {
+            words.push("--per-system".to_owned());
+        }
         quoted(words.into_iter())
     }
 }

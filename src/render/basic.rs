@@ -15,7 +15,7 @@ use super::{Effort, Estimate, Estimates, MIN_PATHS, Request};
 use crate::base::{Error, Result, Watch};
 use crate::math::statistics::Running;
 use crate::math::{Frame, Random};
-use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS, Passage, Scattering};
+use crate::scatter::{CHANNELS, Evaluation, MAX_DERIVATIVES, Passage, Scattering};
 use crate::session::Configuration;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,21 +23,19 @@ use std::f64::consts::{PI, TAU};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Row 0: a value per channel; the others: its derivatives by the model's rows.
-type Graded<T = f64> = [[T; CHANNELS]; 1 + MAX_ROWS];
+type Graded<T = f64> = [[T; CHANNELS]; 1 + MAX_DERIVATIVES];
 
 fn constant(value: [f64; CHANNELS]) -> Graded {
     std::array::from_fn(|row| if row == 0 { value } else { [0.0; CHANNELS] })
 }
 
-fn scattered(e: &Evaluation, factor: f64) -> Graded {
-    let of = |row: usize| {
-        if row == 0 {
-            e.value
-        } else {
-            e.derivative[row - 1]
-        }
-    };
-    std::array::from_fn(|row| of(row).map(|x| x * factor))
+/// What an event multiplies with, its derivatives by the rows from `first` on.
+fn scattered(e: &Evaluation, factor: f64, first: usize) -> Graded {
+    let mut graded = constant(e.value.map(|x| x * factor));
+    for (row, derivative) in graded[1 + first..].iter_mut().zip(e.derivative) {
+        *row = derivative.map(|x| x * factor);
+    }
+    graded
 }
 
 /// The product rule: what Khungurn 2015 eq. 17 writes as a sum of scores, without dividing by a value that may be zero.
@@ -45,7 +43,7 @@ fn times(a: &Graded, b: &Graded) -> Graded {
     let mut product = *a;
     for c in 0..CHANNELS {
         product[0][c] *= b[0][c];
-        for row in 1..=MAX_ROWS {
+        for row in 1..=MAX_DERIVATIVES {
             product[row][c] = a[row][c] * b[0][c] + a[0][c] * b[row][c];
         }
     }
@@ -62,7 +60,10 @@ struct Ray {
 
 struct Tracer<'a> {
     scene: &'a FiberScene,
-    scattering: &'a dyn Scattering,
+    /// One for all fibers, or one for each yarn system.
+    scattering: &'a [Box<dyn Scattering>],
+    /// Rows of each.
+    rows: usize,
     lamp: Lamp,
     random: Random,
     /// Normalized radiance the present path has found.
@@ -84,7 +85,7 @@ impl Tracer<'_> {
         self.found = constant([0.0; CHANNELS]);
         while let Some(ray) = next {
             let geometry = &self.scene.geometry;
-            let ended = match self.scattering.passage() {
+            let ended = match self.passage() {
                 Passage::Across => geometry.closest(ray.origin, ray.direction, &ray.skip),
                 Passage::Straight => {
                     geometry.closest_from_within(ray.origin, ray.direction, &ray.skip)
@@ -108,7 +109,10 @@ impl Tracer<'_> {
         let wo = frame.to_local(-ray.direction);
         let at = frame.to_local(ray.origin + ray.direction * hit.distance - start);
         let h = (wo.z.atan2(wo.y) - at.z.atan2(at.y)).sin();
-        let passage = self.scattering.passage();
+        let system = self.scene.geometry.system(hit.image);
+        let system = system.min(self.scattering.len() - 1);
+        let (scattering, first) = (&self.scattering[system], system * self.rows);
+        let passage = self.passage();
         let exit = |w: DVec3| {
             let across = DVec3::new(0.0, w.y, w.z).normalize_or_zero();
             let ahead = at.dot(across);
@@ -123,18 +127,18 @@ impl Tracer<'_> {
         if let Some(light) = self.lamp.sample(start + frame.x * at.x, &mut self.random) {
             let wi = frame.to_local(light.direction);
             if self.sees_lamp(exit(wi), light.direction, &skip) {
-                let e = self.scattering.evaluate(wi, wo, h);
+                let e = scattering.evaluate(wi, wo, h);
                 self.find(
-                    &times(&ray.carried, &scattered(&e, wi.y.hypot(wi.z))),
+                    &times(&ray.carried, &scattered(&e, wi.y.hypot(wi.z), first)),
                     light.pdf,
                 );
             }
         }
-        let outgoing = self.scattering.outgoing(wo, h, ray.carried[0]);
-        let s = self.scattering.sample(&outgoing, &mut self.random)?;
-        let e = self.scattering.evaluate(s.wi, wo, h);
+        let outgoing = scattering.outgoing(wo, h, ray.carried[0]);
+        let s = scattering.sample(&outgoing, &mut self.random)?;
+        let e = scattering.evaluate(s.wi, wo, h);
         let factor = s.wi.y.hypot(s.wi.z) / s.pdf;
-        let carried = self.roulette(times(&ray.carried, &scattered(&e, factor)))?;
+        let carried = self.roulette(times(&ray.carried, &scattered(&e, factor, first)))?;
         Some(Ray {
             origin: exit(s.wi),
             direction: frame.to_world(s.wi),
@@ -170,11 +174,16 @@ impl Tracer<'_> {
         })
     }
 
+    /// The same for all fibers: they have one model.
+    fn passage(&self) -> Passage {
+        self.scattering[0].passage()
+    }
+
     fn sees_lamp(&self, origin: DVec3, direction: DVec3, skip: &Skip) -> bool {
         let open = self.scene.options.plate == Plate::Open;
         let geometry = &self.scene.geometry;
         (open || direction.z > 0.0)
-            && match self.scattering.passage() {
+            && match self.passage() {
                 Passage::Across => geometry.passes(origin, direction, skip),
                 Passage::Straight => geometry.passes_from_within(origin, direction, skip),
             }
@@ -211,13 +220,14 @@ pub(super) fn estimate(
     watch: &dyn Watch,
 ) -> Result<Estimates> {
     let clock = (std::time::Instant::now(), cpu_seconds());
-    let scattering = scene.model.prepare(request.parameters)?;
+    let scattering = scene.model.prepare_each(request.parameters)?;
     let all = request.configurations;
     let render = |round: u64, paths: &[u64]| {
         let one = |(index, c): (usize, &Configuration)| {
             let tracer = |task: u64| Tracer {
                 scene,
-                scattering: &*scattering,
+                scattering: &scattering,
+                rows: request.parameters.infos().len() / scattering.len(),
                 lamp: Lamp::new(scene.options.light, c.light_in_sample()),
                 random: Random::keyed(&[
                     BASIC,

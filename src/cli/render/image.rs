@@ -220,7 +220,8 @@ fn wanted_derivatives(
     }
     let (mut rows, mut wanted) = (Vec::new(), Vec::<Derivative>::new());
     for name in names {
-        let (base, channel) = match name.split_once('.') {
+        let (base, channel) = match name.rsplit_once('.') {
+            _ if known.contains(&name) => (name, None),
             Some((base, channel)) => (base, ["r", "g", "b"].iter().position(|c| *c == channel)),
             None => (name, None),
         };
