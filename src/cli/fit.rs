@@ -343,7 +343,7 @@ pub(crate) fn print_table(result: &FitResult) {
     for p in &result.uncertainty {
         let unit = if p.unit == "1" { "" } else { "deg" };
         data!(
-            "{:<10} {:>11.4} {:>9.4} to {:<9.4} {:>7.3} to {:<7.3} {:<3} {}",
+            "{:<13} {:>8.4} {:>9.4} to {:<9.4} {:>7.3} to {:<7.3} {:<3} {}",
             p.name,
             p.value,
             p.interval_95[0],

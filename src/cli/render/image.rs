@@ -315,6 +315,10 @@ mod tests {
         let list: Vec<_> = wanted.iter().map(|d| (d.layer, d.channel)).collect();
         assert_eq!(list, [(0, None), (1, Some(1)), (1, None)]);
         assert_eq!(read(&["all", "c_r"]).unwrap().1.len(), 5);
+        let systems = Parameters::defaults(scatter::model("khungurn-per-system").unwrap());
+        let names = ["weft.c_r", "weft.c_r.b"].map(str::to_owned);
+        let (rows, wanted) = wanted_derivatives(&names, &systems).unwrap();
+        assert_eq!((rows, wanted[1].channel), (vec![5], Some(2)));
         for bad in ["c_t", "c_tt.x", "c_tt.", ".r", ""] {
             let error = read(&[bad]).unwrap_err().report();
             assert!(error.contains("known: c_r, c_tt, beta_r"), "{bad}: {error}");
