@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Row 0: a value per channel; the others: its derivatives by the model's rows.
+/// Row 0: a value per channel; the others: its derivatives by the model's rows, then zeros.
 type Graded<T = f64> = [[T; CHANNELS]; 1 + MAX_DERIVATIVES];
 
 fn constant(value: [f64; CHANNELS]) -> Graded {
@@ -39,11 +39,11 @@ fn scattered(e: &Evaluation, factor: f64, first: usize) -> Graded {
 }
 
 /// The product rule: what Khungurn 2015 eq. 17 writes as a sum of scores, without dividing by a value that may be zero.
-fn times(a: &Graded, b: &Graded) -> Graded {
+fn times(a: &Graded, b: &Graded, rows: usize) -> Graded {
     let mut product = *a;
     for c in 0..CHANNELS {
         product[0][c] *= b[0][c];
-        for row in 1..=MAX_DERIVATIVES {
+        for row in 1..=rows {
             product[row][c] = a[row][c] * b[0][c] + a[0][c] * b[row][c];
         }
     }
@@ -62,7 +62,7 @@ struct Tracer<'a> {
     scene: &'a FiberScene,
     /// One for all fibers, or one for each yarn system.
     scattering: &'a [Box<dyn Scattering>],
-    /// Rows of each.
+    /// Rows of all of them.
     rows: usize,
     lamp: Lamp,
     random: Random,
@@ -111,7 +111,10 @@ impl Tracer<'_> {
         let h = (wo.z.atan2(wo.y) - at.z.atan2(at.y)).sin();
         let system = self.scene.geometry.system(hit.image);
         let system = system.min(self.scattering.len() - 1);
-        let (scattering, first) = (&self.scattering[system], system * self.rows);
+        let (scattering, first) = (
+            &self.scattering[system],
+            system * self.rows / self.scattering.len(),
+        );
         let passage = self.passage();
         let exit = |w: DVec3| {
             let across = DVec3::new(0.0, w.y, w.z).normalize_or_zero();
@@ -129,7 +132,11 @@ impl Tracer<'_> {
             if self.sees_lamp(exit(wi), light.direction, &skip) {
                 let e = scattering.evaluate(wi, wo, h);
                 self.find(
-                    &times(&ray.carried, &scattered(&e, wi.y.hypot(wi.z), first)),
+                    &times(
+                        &ray.carried,
+                        &scattered(&e, wi.y.hypot(wi.z), first),
+                        self.rows,
+                    ),
                     light.pdf,
                 );
             }
@@ -138,7 +145,11 @@ impl Tracer<'_> {
         let s = scattering.sample(&outgoing, &mut self.random)?;
         let e = scattering.evaluate(s.wi, wo, h);
         let factor = s.wi.y.hypot(s.wi.z) / s.pdf;
-        let carried = self.roulette(times(&ray.carried, &scattered(&e, factor, first)))?;
+        let carried = self.roulette(times(
+            &ray.carried,
+            &scattered(&e, factor, first),
+            self.rows,
+        ))?;
         Some(Ray {
             origin: exit(s.wi),
             direction: frame.to_world(s.wi),
@@ -151,12 +162,12 @@ impl Tracer<'_> {
     fn plate(&mut self, ray: &Ray, albedo: [f64; CHANNELS]) -> Option<Ray> {
         let fall = (self.scene.geometry.z_range()[0] - ray.origin.z) / ray.direction.z;
         let (origin, skip) = (ray.origin + ray.direction * fall, Skip::NOTHING);
-        let carried = times(&ray.carried, &constant(albedo));
+        let carried = times(&ray.carried, &constant(albedo), self.rows);
         if let Some(light) = self.lamp.sample(origin, &mut self.random)
             && self.sees_lamp(origin, light.direction, &skip)
         {
             let cosine = constant([light.direction.z / PI; CHANNELS]);
-            self.find(&times(&carried, &cosine), light.pdf);
+            self.find(&times(&carried, &cosine, self.rows), light.pdf);
         }
         let carried = self.roulette(carried)?;
         // Density cos / pi: a uniform point of the disk, lifted to the hemisphere (Malley).
@@ -227,7 +238,7 @@ pub(super) fn estimate(
             let tracer = |task: u64| Tracer {
                 scene,
                 scattering: &scattering,
-                rows: request.parameters.infos().len() / scattering.len(),
+                rows: request.parameters.infos().len(),
                 lamp: Lamp::new(scene.options.light, c.light_in_sample()),
                 random: Random::keyed(&[
                     BASIC,
@@ -294,7 +305,8 @@ fn scatter<'a>(
         let (mut tracer, mut sums) = (tracer(number), Graded::<Running>::default());
         for _ in 0..n {
             let path = tracer.path(toward_camera);
-            let terms = sums.as_flattened_mut().iter_mut().zip(path.as_flattened());
+            let used = path[..=tracer.rows].as_flattened();
+            let terms = sums.as_flattened_mut().iter_mut().zip(used);
             terms.for_each(|(sum, x)| sum.push(*x));
         }
         watch.progress(stage, done.fetch_add(n, Ordering::Relaxed) + n, paths);
@@ -313,16 +325,13 @@ fn scatter<'a>(
 }
 
 fn finished(c: &Configuration, sums: &Graded<Running>, request: &Request<'_>) -> Result<Estimate> {
-    if !sums
-        .iter()
-        .flatten()
-        .all(|r| r.standard_error().is_finite())
-    {
+    let used = &sums[..=request.parameters.infos().len()];
+    if !(used.iter().flatten()).all(|r| r.standard_error().is_finite()) {
         let (config, at) = (c.id, request.parameters.to_json());
         return Err(Error::new(format!("configuration {config}: the render is not finite at {at}"))
             .with_hint("this is a fault of the model at these parameters; please report it with the parameters"));
     }
-    let (value, derivative) = (&sums[0], &sums[1..=request.parameters.infos().len()]);
+    let (value, derivative) = (&used[0], &used[1..]);
     Ok(Estimate {
         config: c.id,
         mean: value.map(|r| r.mean()),
