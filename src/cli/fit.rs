@@ -21,6 +21,7 @@ Examples:
   goniofit fit --measurements M.csv --fabric F.toml --seed 7 --paths 5000000 --out fit --json
   goniofit fit --measurements M.csv --fabric F.toml --accuracy 1% --time 10m --start fit/fit.json --out finer
   goniofit fit --measurements M.csv --fabric F.toml --loss huber:2 --gain-prior 5% --out trusting
+  goniofit fit --measurements M.csv --fabric F.toml --per-system --start fit/fit.json --out warp_and_weft
   goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
   goniofit fit --resume published
   goniofit fit --resume fit --time 10m
@@ -66,6 +67,9 @@ pub(crate) struct Asked {
     /// Scattering model
     #[arg(long, default_value = MODEL)]
     pub(crate) model: String,
+    /// Parameters of their own for warp and weft: the model called <MODEL>-per-system
+    #[arg(long)]
+    pub(crate) per_system: bool,
     /// How to search: gauss-newton, sgd or adam
     #[arg(long, default_value = METHOD)]
     pub(crate) method: String,
@@ -206,7 +210,10 @@ impl Asked {
 
     /// Reads everything the fit needs and builds its scene.
     pub(crate) fn read(&self) -> Result<Ready> {
-        let model = scatter::model(&self.model)?;
+        let mut model = scatter::model(&self.model)?;
+        if self.per_system {
+            model = scatter::per_system(model)?;
+        }
         let start = self.start.as_deref();
         let mut options = Options {
             method: Method::named(&self.method)?,
@@ -305,6 +312,9 @@ impl Asked {
         let rates: Vec<String> = schedule.rates.iter().map(f64::to_string).collect();
         option("rates", (!rates.is_empty()).then(|| rates.join(",")));
         option("out", path(out));
+        if self.per_system {
+            words.push("--per-system".to_owned());
+        }
         words
     }
 }
@@ -407,7 +417,7 @@ pub(crate) fn print_table(result: &FitResult) {
     for p in &result.uncertainty {
         let unit = if p.unit == "1" { "" } else { "deg" };
         data!(
-            "{:<10} {:>11.4} {:>9.4} to {:<9.4} {:>7.3} to {:<7.3} {:<3} {}",
+            "{:<13} {:>8.4} {:>9.4} to {:<9.4} {:>7.3} to {:<7.3} {:<3} {}",
             p.name,
             p.value,
             p.interval_95[0],

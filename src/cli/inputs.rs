@@ -2,19 +2,37 @@
 
 use crate::base::{Context, Error, Result};
 use crate::fit::FitResult;
-use crate::scatter::{Model, Parameters};
+use crate::scatter::{Model, Parameters, YARN_SYSTEMS, per_system};
 use crate::session::{SessionFolder, files};
+use serde_json::Value;
 use std::path::Path;
 
 /// Reads a parameter file (JSON) for `model`, or the parameters of a fit.json.
 pub(crate) fn parameters(path: &Path, model: &dyn Model) -> Result<Parameters> {
-    let what = || format!("parameters {}", path.display());
-    let mut object: serde_json::Value =
-        serde_json::from_str(&files::read_text(path)?).context(what)?;
+    Parameters::from_json(model, &parameters_object(path)?)
+        .context(|| format!("parameters {}", path.display()))
+}
+
+/// The object of a parameter file, or that in a fit.json.
+fn parameters_object(path: &Path) -> Result<Value> {
+    let mut object: Value = serde_json::from_str(&files::read_text(path)?)
+        .context(|| format!("parameters {}", path.display()))?;
     if object.get("format").is_some() && object.get("parameters").is_some() {
         object = object["parameters"].take();
     }
-    Parameters::from_json(model, &object).context(what)
+    Ok(object)
+}
+
+/// As [`parameters`], for the model with parameters per yarn system where the file has them.
+pub(crate) fn parameters_and_model(
+    path: &Path,
+    model: &'static dyn Model,
+) -> Result<(Parameters, &'static dyn Model)> {
+    let what = || format!("parameters {}", path.display());
+    let object = parameters_object(path)?;
+    let by_system = YARN_SYSTEMS.iter().any(|s| object.get(s).is_some());
+    let model = if by_system { per_system(model)? } else { model };
+    Ok((Parameters::from_json(model, &object).context(what)?, model))
 }
 
 /// Reads a fit.json, given it or the folder that holds it.

@@ -214,7 +214,7 @@ fn table_row(config: u32, [r, g, b]: [f64; 3], [sr, sg, sb]: [f64; 3], paths: u6
 /// The derivatives of a mean by one parameter, channel by channel.
 fn derivative_row(name: &str, by_channel: &[f64]) -> String {
     let numbers = by_channel.iter().map(|d| format!(" {d:12.5e}"));
-    format!("       d/d {name:<9}{}", numbers.collect::<String>())
+    format!("       d/d {name:<13}{}", numbers.collect::<String>())
 }
 
 fn print_table(estimates: &Estimates, parameters: &Parameters, derivatives: bool) {

@@ -4,7 +4,7 @@
 
 use super::objective::{NumberWeights, PairedValue, rms_of};
 use crate::base::{Context, Error, Result};
-use crate::scatter::CHANNELS;
+use crate::scatter::{CHANNELS, YARN_SYSTEMS};
 use crate::session::{Configuration, files};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -430,8 +430,14 @@ pub fn refuse_existing(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The number a flat name (`c_r.g`, `beta_tt`) has in a parameter file's object.
+/// The number a flat name (`c_r.g`, `beta_tt`, `weft.c_r.g`) has in a parameter file's object; one without yarn systems
+/// serves all of them.
 fn flat_value(parameters: &Value, name: &str) -> Option<f64> {
+    if let Some((system, own)) = name.split_once('.')
+        && YARN_SYSTEMS.contains(&system)
+    {
+        return flat_value(parameters.get(system).unwrap_or(parameters), own);
+    }
     let (key, channel) = match name.split_once('.') {
         Some((key, channel)) => (key, ["r", "g", "b"].iter().position(|c| *c == channel)?),
         None => (name, 0),

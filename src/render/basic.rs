@@ -15,37 +15,35 @@ use super::{Effort, Estimate, Estimates, MIN_PATHS, Request};
 use crate::base::{Error, Result, Watch};
 use crate::math::statistics::Running;
 use crate::math::{Frame, Random};
-use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS, Passage, Scattering};
+use crate::scatter::{CHANNELS, Evaluation, MAX_DERIVATIVES, Passage, Scattering};
 use crate::session::Configuration;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Row 0: a value per channel; the others: its derivatives by the model's rows.
-type Graded<T = f64> = [[T; CHANNELS]; 1 + MAX_ROWS];
+/// Row 0: a value per channel; the others: its derivatives by the model's rows, then zeros.
+type Graded<T = f64> = [[T; CHANNELS]; 1 + MAX_DERIVATIVES];
 
 fn constant(value: [f64; CHANNELS]) -> Graded {
     std::array::from_fn(|row| if row == 0 { value } else { [0.0; CHANNELS] })
 }
 
-fn scattered(e: &Evaluation, factor: f64) -> Graded {
-    let of = |row: usize| {
-        if row == 0 {
-            e.value
-        } else {
-            e.derivative[row - 1]
-        }
-    };
-    std::array::from_fn(|row| of(row).map(|x| x * factor))
+/// What an event multiplies with, its derivatives by the rows from `first` on.
+fn scattered(e: &Evaluation, factor: f64, first: usize) -> Graded {
+    let mut graded = constant(e.value.map(|x| x * factor));
+    for (row, derivative) in graded[1 + first..].iter_mut().zip(e.derivative) {
+        *row = derivative.map(|x| x * factor);
+    }
+    graded
 }
 
 /// The product rule: what Khungurn 2015 eq. 17 writes as a sum of scores, without dividing by a value that may be zero.
-fn times(a: &Graded, b: &Graded) -> Graded {
+fn times(a: &Graded, b: &Graded, rows: usize) -> Graded {
     let mut product = *a;
     for c in 0..CHANNELS {
         product[0][c] *= b[0][c];
-        for row in 1..=MAX_ROWS {
+        for row in 1..=rows {
             product[row][c] = a[row][c] * b[0][c] + a[0][c] * b[row][c];
         }
     }
@@ -62,7 +60,10 @@ struct Ray {
 
 struct Tracer<'a> {
     scene: &'a FiberScene,
-    scattering: &'a dyn Scattering,
+    /// One for all fibers, or one for each yarn system.
+    scattering: &'a [Box<dyn Scattering>],
+    /// Rows of all of them.
+    rows: usize,
     lamp: Lamp,
     random: Random,
     /// Normalized radiance the present path has found.
@@ -84,7 +85,7 @@ impl Tracer<'_> {
         self.found = constant([0.0; CHANNELS]);
         while let Some(ray) = next {
             let geometry = &self.scene.geometry;
-            let ended = match self.scattering.passage() {
+            let ended = match self.passage() {
                 Passage::Across => geometry.closest(ray.origin, ray.direction, &ray.skip),
                 Passage::Straight => {
                     geometry.closest_from_within(ray.origin, ray.direction, &ray.skip)
@@ -108,7 +109,13 @@ impl Tracer<'_> {
         let wo = frame.to_local(-ray.direction);
         let at = frame.to_local(ray.origin + ray.direction * hit.distance - start);
         let h = (wo.z.atan2(wo.y) - at.z.atan2(at.y)).sin();
-        let passage = self.scattering.passage();
+        let system = self.scene.geometry.system(hit.image);
+        let system = system.min(self.scattering.len() - 1);
+        let (scattering, first) = (
+            &self.scattering[system],
+            system * self.rows / self.scattering.len(),
+        );
+        let passage = self.passage();
         let exit = |w: DVec3| {
             let across = DVec3::new(0.0, w.y, w.z).normalize_or_zero();
             let ahead = at.dot(across);
@@ -123,18 +130,26 @@ impl Tracer<'_> {
         if let Some(light) = self.lamp.sample(start + frame.x * at.x, &mut self.random) {
             let wi = frame.to_local(light.direction);
             if self.sees_lamp(exit(wi), light.direction, &skip) {
-                let e = self.scattering.evaluate(wi, wo, h);
+                let e = scattering.evaluate(wi, wo, h);
                 self.find(
-                    &times(&ray.carried, &scattered(&e, wi.y.hypot(wi.z))),
+                    &times(
+                        &ray.carried,
+                        &scattered(&e, wi.y.hypot(wi.z), first),
+                        self.rows,
+                    ),
                     light.pdf,
                 );
             }
         }
-        let outgoing = self.scattering.outgoing(wo, h, ray.carried[0]);
-        let s = self.scattering.sample(&outgoing, &mut self.random)?;
-        let e = self.scattering.evaluate(s.wi, wo, h);
+        let outgoing = scattering.outgoing(wo, h, ray.carried[0]);
+        let s = scattering.sample(&outgoing, &mut self.random)?;
+        let e = scattering.evaluate(s.wi, wo, h);
         let factor = s.wi.y.hypot(s.wi.z) / s.pdf;
-        let carried = self.roulette(times(&ray.carried, &scattered(&e, factor)))?;
+        let carried = self.roulette(times(
+            &ray.carried,
+            &scattered(&e, factor, first),
+            self.rows,
+        ))?;
         Some(Ray {
             origin: exit(s.wi),
             direction: frame.to_world(s.wi),
@@ -147,12 +162,12 @@ impl Tracer<'_> {
     fn plate(&mut self, ray: &Ray, albedo: [f64; CHANNELS]) -> Option<Ray> {
         let fall = (self.scene.geometry.z_range()[0] - ray.origin.z) / ray.direction.z;
         let (origin, skip) = (ray.origin + ray.direction * fall, Skip::NOTHING);
-        let carried = times(&ray.carried, &constant(albedo));
+        let carried = times(&ray.carried, &constant(albedo), self.rows);
         if let Some(light) = self.lamp.sample(origin, &mut self.random)
             && self.sees_lamp(origin, light.direction, &skip)
         {
             let cosine = constant([light.direction.z / PI; CHANNELS]);
-            self.find(&times(&carried, &cosine), light.pdf);
+            self.find(&times(&carried, &cosine, self.rows), light.pdf);
         }
         let carried = self.roulette(carried)?;
         // Density cos / pi: a uniform point of the disk, lifted to the hemisphere (Malley).
@@ -170,11 +185,16 @@ impl Tracer<'_> {
         })
     }
 
+    /// The same for all fibers: they have one model.
+    fn passage(&self) -> Passage {
+        self.scattering[0].passage()
+    }
+
     fn sees_lamp(&self, origin: DVec3, direction: DVec3, skip: &Skip) -> bool {
         let open = self.scene.options.plate == Plate::Open;
         let geometry = &self.scene.geometry;
         (open || direction.z > 0.0)
-            && match self.scattering.passage() {
+            && match self.passage() {
                 Passage::Across => geometry.passes(origin, direction, skip),
                 Passage::Straight => geometry.passes_from_within(origin, direction, skip),
             }
@@ -211,13 +231,14 @@ pub(super) fn estimate(
     watch: &dyn Watch,
 ) -> Result<Estimates> {
     let clock = (std::time::Instant::now(), cpu_seconds());
-    let scattering = scene.model.prepare(request.parameters)?;
+    let scattering = scene.model.prepare_each(request.parameters)?;
     let all = request.configurations;
     let render = |round: u64, paths: &[u64]| {
         let one = |(index, c): (usize, &Configuration)| {
             let tracer = |task: u64| Tracer {
                 scene,
-                scattering: &*scattering,
+                scattering: &scattering,
+                rows: request.parameters.infos().len(),
                 lamp: Lamp::new(scene.options.light, c.light_in_sample()),
                 random: Random::keyed(&[
                     BASIC,
@@ -284,7 +305,8 @@ fn scatter<'a>(
         let (mut tracer, mut sums) = (tracer(number), Graded::<Running>::default());
         for _ in 0..n {
             let path = tracer.path(toward_camera);
-            let terms = sums.as_flattened_mut().iter_mut().zip(path.as_flattened());
+            let used = path[..=tracer.rows].as_flattened();
+            let terms = sums.as_flattened_mut().iter_mut().zip(used);
             terms.for_each(|(sum, x)| sum.push(*x));
         }
         watch.progress(stage, done.fetch_add(n, Ordering::Relaxed) + n, paths);
@@ -303,16 +325,13 @@ fn scatter<'a>(
 }
 
 fn finished(c: &Configuration, sums: &Graded<Running>, request: &Request<'_>) -> Result<Estimate> {
-    if !sums
-        .iter()
-        .flatten()
-        .all(|r| r.standard_error().is_finite())
-    {
+    let used = &sums[..=request.parameters.infos().len()];
+    if !(used.iter().flatten()).all(|r| r.standard_error().is_finite()) {
         let (config, at) = (c.id, request.parameters.to_json());
         return Err(Error::new(format!("configuration {config}: the render is not finite at {at}"))
             .with_hint("this is a fault of the model at these parameters; please report it with the parameters"));
     }
-    let (value, derivative) = (&sums[0], &sums[1..=request.parameters.infos().len()]);
+    let (value, derivative) = (&used[0], &used[1..]);
     Ok(Estimate {
         config: c.id,
         mean: value.map(|r| r.mean()),

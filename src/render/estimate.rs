@@ -13,7 +13,7 @@ use super::allocation::{
 use super::guide::{Guide, Lesson, Pupil};
 use super::path::Visitor;
 use super::scene::FiberScene;
-use super::summation::{Summation, Sums};
+use super::summation::{Rows, Summation, Sums};
 use super::{Effort, Estimate, Estimates, MIN_PATHS, Request, relative_error_weight, weighted_rms};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
@@ -44,7 +44,7 @@ const GUIDED_RAY: f64 = 1.25;
 /// One round of paths over all groups.
 pub(super) struct Round<'a> {
     scene: &'a FiberScene,
-    scattering: &'a dyn Scattering,
+    sets: &'a [Box<dyn Scattering + 'a>],
     groups: &'a [Group],
     /// Paths per group.
     paths: Vec<u64>,
@@ -133,9 +133,7 @@ impl Round<'_> {
         let group = &self.groups[g];
         let worth: Vec<f64> = group.members.iter().map(|&m| self.worth[m]).collect();
         let guide = &self.guides[g];
-        let stage = self
-            .scene
-            .stage(self.scattering, &group.lamps, &worth, guide);
+        let stage = self.scene.stage(self.sets, &group.lamps, &worth, guide);
         let [seed, stream, round] = self.key;
         let mut random = Random::keyed(&[seed, stream, round, g as u64, batch.number]);
         for _ in 0..batch.paths {
@@ -150,7 +148,7 @@ impl Round<'_> {
     /// Moments of all configurations.
     fn render(
         &self,
-        rows: usize,
+        rows: Rows,
         n_configurations: usize,
         watch: &dyn Watch,
     ) -> Result<Vec<Moments>> {
@@ -159,7 +157,7 @@ impl Round<'_> {
             self.trace(batch, &mut sums, |_| ());
             Ok(sums.lamps)
         })?;
-        Ok(self.moments(&batches, rows, n_configurations))
+        Ok(self.moments(&batches, rows.all, n_configurations))
     }
 
     /// Moments of the values alone, and per group what the paths taught and how many rays they took.
@@ -303,7 +301,7 @@ impl Settled {
 /// The round of paths that are kept, its path counts and rules settled by pilots.
 pub(super) fn plan<'a>(
     scene: &'a FiberScene,
-    scattering: &'a dyn Scattering,
+    sets: &'a [Box<dyn Scattering + 'a>],
     groups: &'a [Group],
     request: &Request<'_>,
     watch: &dyn Watch,
@@ -311,7 +309,7 @@ pub(super) fn plan<'a>(
     let n = request.configurations.len();
     let round = |number: u64, paths: Vec<u64>, settled: &Settled, stage_name| Round {
         scene,
-        scattering,
+        sets,
         groups,
         paths,
         worth: worth(&settled.moments),
@@ -366,14 +364,14 @@ pub(super) fn estimate(
 ) -> Result<Estimates> {
     let clock = (std::time::Instant::now(), cpu_seconds());
     let configurations = request.configurations;
-    let scattering = scene.model.prepare(request.parameters)?;
+    let sets = scene.model.prepare_each(request.parameters)?;
     let groups = groups(scene, configurations);
-    let last = plan(scene, &*scattering, &groups, request, watch)?;
-    let rows = scene.model.parameters().len();
+    let last = plan(scene, &sets, &groups, request, watch)?;
+    let rows = Rows::of(scene.model);
     let moments = last.render(rows, configurations.len(), watch)?;
     let finish = |(index, c): (usize, &Configuration)| {
         let paths = last.paths_of(index);
-        finished(c.id, &moments[index], rows, paths, request.parameters)
+        finished(c.id, &moments[index], rows.all, paths, request.parameters)
     };
     Ok(Estimates {
         configurations: configurations

@@ -12,7 +12,7 @@ use super::guide::Guide;
 use super::path::Stage;
 use super::picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
 use super::scene::FiberScene;
-use super::summation::{Summation, Sums};
+use super::summation::{Rows, Summation, Sums};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
 use crate::math::statistics::Running;
@@ -65,13 +65,13 @@ impl FiberScene {
     ) -> Result<Vec<Picture>> {
         request.check()?;
         self.check_poses(request.configurations)?;
-        let scattering = self.model.prepare(request.parameters)?;
+        let sets = self.model.prepare_each(request.parameters)?;
         let groups = groups(self, request.configurations);
         let mut pictures = vec![None; request.configurations.len()];
         for (g, group) in groups.iter().enumerate() {
             let canvas = Canvas {
                 scene: self,
-                scattering: &*scattering,
+                sets: &sets,
                 request,
                 group,
                 parts: [g as u64, groups.len() as u64],
@@ -88,7 +88,7 @@ impl FiberScene {
 /// The pictures that share camera paths.
 struct Canvas<'a> {
     scene: &'a FiberScene,
-    scattering: &'a dyn Scattering,
+    sets: &'a [Box<dyn Scattering>],
     request: &'a PictureRequest<'a>,
     group: &'a Group,
     /// Which of how many groups it is.
@@ -195,7 +195,7 @@ impl Canvas<'_> {
             .try_for_each(|(task, chunk)| {
                 let guide = Guide::FRESH;
                 let (lamps, worth) = (&self.group.lamps, pass.worth);
-                let stage = self.scene.stage(self.scattering, lamps, worth, &guide);
+                let stage = self.scene.stage(self.sets, lamps, worth, &guide);
                 for (i, out) in chunk.chunks_mut(numbers).enumerate() {
                     self.pixel(pass, &stage, task * per_task + i, &strata, out, watch)?;
                 }
@@ -236,8 +236,8 @@ impl Canvas<'_> {
         watch: &dyn Watch,
     ) -> Result<()> {
         let all_rows = match pass.rows {
-            [] => 0,
-            _ => self.scene.model.parameters().len(),
+            [] => Rows::NONE,
+            _ => Rows::of(self.scene.model),
         };
         let n_strata = strata.len() as u64;
         let mut random = Random::keyed(&self.key(pass, index));

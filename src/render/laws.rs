@@ -5,6 +5,7 @@ use super::geometry::{Ended, Geometry, Skip};
 use super::guide::{Guide, StateMap};
 use super::light::{Lamp, LightShape};
 use super::path::{Event, Stage, Visitor};
+use super::summation::{Rows, Summation};
 use super::{Effort, FiberScene, FiberSceneOptions, Plate, Request, Scene};
 use crate::base::Unwatched;
 use crate::fabric::{FiberTile, NO_SEGMENT, Segment};
@@ -147,7 +148,8 @@ fn a_single_fiber_in_a_furnace_reflects_its_reverse_albedo() {
     let guide = Guide::FRESH;
     let map = StateMap::new(&geometry, [1000.0; 2]);
     let p = parameters([0.9, 0.3, 0.0, 0.05, 0.6, 1.0, 2.0, 45.0, 23.0]);
-    let scattering = khungurn().prepare(&p).unwrap();
+    let sets = khungurn().prepare_each(&p).unwrap();
+    let scattering = &sets[0];
     let mut worst_wrong: f64 = 0.0;
     for (view, theta_deg) in [0.0, 30.0, 60.0, 75.0, 85.0_f64].into_iter().enumerate() {
         // The camera's elevation from the fiber's normal plane is theta; the fiber lies along x.
@@ -156,7 +158,7 @@ fn a_single_fiber_in_a_furnace_reflects_its_reverse_albedo() {
         let mut means = [Running::default(); 3];
         let stage = Stage {
             geometry: &geometry,
-            scattering: &*scattering,
+            sets: &sets,
             lamps: &[],
             worth: &[],
             plate: Plate::Black,
@@ -232,9 +234,9 @@ fn single_scattering_by_a_straight_fiber_has_its_closed_form() {
     let geometry = Geometry::new(&one_fiber(size, radius)).unwrap();
     let guide = Guide::FRESH;
     let map = StateMap::new(&geometry, [size; 2]);
-    let scattering = khungurn()
-        .prepare(&parameters([0.2, 0.3, 0.1, 0.8, 0.7, 0.9, 8.0, 30.0, 30.0]))
-        .unwrap();
+    let p = parameters([0.2, 0.3, 0.1, 0.8, 0.7, 0.9, 8.0, 30.0, 30.0]);
+    let sets = khungurn().prepare_each(&p).unwrap();
+    let scattering = &sets[0];
     let poses = [
         (32.0, 180.0, 32.0, 0.0),
         (80.0, 90.0, 32.0, 0.0),
@@ -248,7 +250,7 @@ fn single_scattering_by_a_straight_fiber_has_its_closed_form() {
         let lamps = [Lamp::new(LightShape::default(), toward_light)];
         let stage = Stage {
             geometry: &geometry,
-            scattering: &*scattering,
+            sets: &sets,
             lamps: &lamps,
             worth: &[0.02],
             plate: Plate::Black,
@@ -485,7 +487,8 @@ fn derivatives_match_finite_differences_along_one_path() {
     let extremes = parameters([0.001, 0.999, 0.5, 0.999, 0.001, 0.5, 1.0, 10.0, 1.0]);
     let (mut compared, mut caught) = (0, 0);
     for p in [gabardine(), extremes] {
-        let at = khungurn().prepare(&p).unwrap();
+        let sets = khungurn().prepare_each(&p).unwrap();
+        let at = &sets[0];
         let light = PolarDirection::from_degrees(40.0, 170.0);
         let lamps = [Lamp::new(
             LightShape {
@@ -495,7 +498,7 @@ fn derivatives_match_finite_differences_along_one_path() {
             light,
         )];
         let guide = Guide::FRESH;
-        let stage = scene.stage(&*at, &lamps, &[0.01], &guide);
+        let stage = scene.stage(&sets, &lamps, &[0.01], &guide);
         let toward_camera = PolarDirection::from_degrees(50.0, 10.0).vector();
         for path in 0..400 {
             let mut random = Random::keyed(&[9, path]);
@@ -503,9 +506,9 @@ fn derivatives_match_finite_differences_along_one_path() {
             let mut again = random.clone();
             let mut recorder = Recorder::default();
             stage.follow(through, toward_camera, &mut random, &mut recorder);
-            let mut summation = super::summation::Summation::new(5, 1);
+            let mut summation = Summation::new(Rows::of(khungurn()), 1);
             stage.follow(through, toward_camera, &mut again, &mut summation);
-            let base = contribution(&recorder.0, &*at, &*at);
+            let base = contribution(&recorder.0, &**at, &**at);
             for (slot, (row, only)) in p.places().into_iter().enumerate() {
                 let value = p.values()[slot];
                 let h = 1e-5 * value.abs().max(1e-3);
@@ -522,7 +525,7 @@ fn derivatives_match_finite_differences_along_one_path() {
                     );
                     std::array::from_fn::<f64, 3, _>(|c| (a[c] - b[c]) / (2.0 * h))
                 };
-                let (right, frozen) = (difference([&*up, &*down]), difference([&*at, &*at]));
+                let (right, frozen) = (difference([&*up, &*down]), difference([&**at, &**at]));
                 let channels = if p.infos()[row].per_channel {
                     only..only + 1
                 } else {

@@ -27,6 +27,8 @@ pub(super) struct Event<'a> {
     pub(super) wo: DVec3,
     /// Where across the fiber the camera side meets it, see [`Scattering`].
     pub(super) h: f64,
+    /// Which of [`Stage::sets`] the fiber has.
+    pub(super) set: usize,
     /// Everything that does not depend on the parameters: cosine, densities, roulette, the lamp's radiance.
     pub(super) factor: f64,
     /// Value and derivatives of `S` at the two directions.
@@ -60,7 +62,8 @@ pub(super) trait Visitor {
 /// What a path needs to know that does not change from path to path.
 pub(super) struct Stage<'a> {
     pub(super) geometry: &'a Geometry,
-    pub(super) scattering: &'a dyn Scattering,
+    /// The scattering functions: of all fibers, or of each yarn system's.
+    pub(super) sets: &'a [Box<dyn Scattering + 'a>],
     pub(super) lamps: &'a [Lamp],
     /// Per lamp: connections that would add less than this are made with proportionally smaller probability.
     pub(super) worth: &'a [f64],
@@ -113,6 +116,7 @@ struct Scatter {
     wi: DVec3,
     wo: DVec3,
     h: f64,
+    set: usize,
     factor: f64,
     pdf: f64,
     /// The fiber's axis, from where lamps are looked for.
@@ -161,16 +165,25 @@ impl Stage<'_> {
         }
     }
 
+    /// Which of [`Stage::sets`] the fiber has that was hit.
+    fn set_of(&self, hit: Hit) -> usize {
+        match self.sets {
+            [_] => 0,
+            _ => self.geometry.system(hit.image),
+        }
+    }
+
     /// Tells of the event with which a leg begins, and of lamps it may meet.
     fn begin(&self, leg: &Leg, visitor: &mut impl Visitor) {
         match &leg.begun {
             Begun::Camera => {}
             Begun::Fiber(s) => {
-                let evaluation = self.scattering.evaluate(s.wi, s.wo, s.h);
+                let evaluation = self.sets[s.set].evaluate(s.wi, s.wo, s.h);
                 let event = Event {
                     wi: s.wi,
                     wo: s.wo,
                     h: s.h,
+                    set: s.set,
                     factor: s.factor,
                     evaluation: &evaluation,
                 };
@@ -202,7 +215,8 @@ impl Stage<'_> {
     ) {
         let place = Place::new(self, leg.origin, leg.direction, hit);
         let wo = place.frame.to_local(-leg.direction);
-        let outgoing = self.scattering.outgoing(wo, place.h, leg.carried);
+        let scattering = &*self.sets[place.set];
+        let outgoing = scattering.outgoing(wo, place.h, leg.carried);
         self.connect_lamps(&place, &outgoing, leg, random, visitor);
 
         let candidates = self.guide.candidates();
@@ -210,7 +224,7 @@ impl Stage<'_> {
         let skip = self.geometry.skip(hit.image);
         let mut comb = Comb::new(random);
         for _ in 0..candidates {
-            let Some(sampled) = self.scattering.sample(&outgoing, random) else {
+            let Some(sampled) = scattering.sample(&outgoing, random) else {
                 continue;
             };
             let direction = place.frame.to_world(sampled.wi);
@@ -231,6 +245,7 @@ impl Stage<'_> {
                     wi: sampled.wi,
                     wo,
                     h: place.h,
+                    set: place.set,
                     factor: across(sampled.wi) / sampled.pdf * share / survival,
                     pdf: sampled.pdf,
                     from: place.center,
@@ -252,9 +267,10 @@ impl Stage<'_> {
         visitor: &mut impl Visitor,
     ) {
         let skip = self.geometry.skip(place.hit.image);
+        let scattering = &*self.sets[place.set];
         for (index, lamp) in self.lamps.iter().enumerate() {
             let toward = place.frame.to_local(lamp.toward());
-            let points = self.scattering.light_points(toward, o, lamp.half_angle());
+            let points = scattering.light_points(toward, o, lamp.half_angle());
             let shift = [random.uniform(), random.uniform()];
             let (mut sum, mut chosen) = (0.0, None);
             for k in 0..points {
@@ -263,7 +279,7 @@ impl Stage<'_> {
                     continue;
                 };
                 let wi = place.frame.to_local(point.direction);
-                let (value, pdf) = self.scattering.importance(wi, o);
+                let (value, pdf) = scattering.importance(wi, o);
                 let cosine = across(wi);
                 let factor =
                     lamp.normalized_radiance() * cosine / (point.pdf + pdf) / points as f64;
@@ -288,11 +304,12 @@ impl Stage<'_> {
             if !self.sees_light(ray, &skip, place.runs_within()) {
                 continue;
             }
-            let evaluation = self.scattering.evaluate(wi, o.wo, o.h);
+            let evaluation = scattering.evaluate(wi, o.wo, o.h);
             let event = Event {
                 wi,
                 wo: o.wo,
                 h: o.h,
+                set: place.set,
                 // Not over worth * odds, which may underflow to zero.
                 factor: factor * (sum / worth) / odds,
                 evaluation: &evaluation,
@@ -432,6 +449,8 @@ struct Place {
     offset: DVec3,
     /// Where across the fiber the ray met it, see [`Scattering`].
     h: f64,
+    /// Which of [`Stage::sets`] it has.
+    set: usize,
     passage: Passage,
 }
 
@@ -450,13 +469,15 @@ impl Place {
         } else {
             0.0
         };
+        let set = stage.set_of(hit);
         Self {
             hit,
             frame,
             center: start + tangent * along,
             offset,
             h,
-            passage: stage.scattering.passage(),
+            set,
+            passage: stage.sets[set].passage(),
         }
     }
 

@@ -8,9 +8,10 @@ use super::{Estimates, Request, Scene, basic, estimate};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::FiberTile;
 use crate::math::Random;
-use crate::scatter::Model;
+use crate::scatter::{Model, Scattering};
 use crate::session::Configuration;
 use glam::DVec3;
+use std::collections::BTreeSet;
 
 /// What lies under the cloth, at its lowest fiber.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -110,6 +111,26 @@ impl Default for FiberSceneOptions {
     }
 }
 
+/// Refuses a tile whose yarn systems are not those of `model`, where that has parameters for each.
+fn check_systems(tile: &FiberTile, model: &dyn Model) -> Result<()> {
+    let known = model.systems();
+    if known.is_empty() {
+        return Ok(());
+    }
+    let found: BTreeSet<usize> = tile.segments.iter().map(|s| s.yarn_system.into()).collect();
+    if found.iter().copied().eq(0..known.len()) {
+        return Ok(());
+    }
+    let expected = known.iter().enumerate();
+    let expected: Vec<String> = expected.map(|(i, s)| format!("{i} ({s})")).collect();
+    Err(Error::new(format!(
+        "the fabric has fibers of the yarn systems {found:?}, model {} has parameters for {}",
+        model.name(),
+        expected.join(" and ")
+    ))
+    .with_hint("one set of parameters serves any fabric"))
+}
+
 /// Fibers on a periodic tile above a plate.
 pub struct FiberScene {
     pub(super) geometry: Geometry,
@@ -132,13 +153,15 @@ impl FiberScene {
     /// Builds the acceleration structure of `tile`.
     ///
     /// # Errors
-    /// When the tile has no segments, its size has no meaning, a segment is not finite, or an option is out of range.
+    /// When the tile has no segments, its size has no meaning, a segment is not finite, or an option is out of range; when
+    /// the tile's yarn systems are not those that have parameters of their own in `model`.
     pub fn new(
         tile: &FiberTile,
         model: &'static dyn Model,
         options: FiberSceneOptions,
     ) -> Result<Self> {
         options.check()?;
+        check_systems(tile, model)?;
         let geometry = Geometry::new(tile)?;
         Ok(Self {
             map: StateMap::new(&geometry, tile.size),
@@ -198,14 +221,14 @@ impl FiberScene {
 
     pub(super) fn stage<'a>(
         &'a self,
-        scattering: &'a dyn crate::scatter::Scattering,
+        sets: &'a [Box<dyn Scattering + 'a>],
         lamps: &'a [Lamp],
         worth: &'a [f64],
         guide: &'a Guide,
     ) -> Stage<'a> {
         Stage {
             geometry: &self.geometry,
-            scattering,
+            sets,
             lamps,
             worth,
             plate: self.options.plate,

@@ -13,6 +13,7 @@ mod direction;
 pub mod khungurn;
 pub mod normalizer;
 mod parameters;
+mod per_system;
 mod piecewise;
 
 pub use batch::{BatchEvaluate, BatchValues, Footprint, MAX_COLUMNS, OneByOne};
@@ -21,6 +22,7 @@ pub use defensive::Defensive;
 pub use direction::{fiber_direction, longitudinal_angle};
 pub use khungurn::{Khungurn, KhungurnScattering};
 pub use parameters::{ParameterInfo, Parameters, Unit};
+pub use per_system::{YARN_SYSTEMS, per_system};
 
 use crate::base::{Error, Result};
 use crate::math::Random;
@@ -29,8 +31,11 @@ use glam::DVec3;
 /// The number of color channels everywhere.
 pub const CHANNELS: usize = 3;
 
-/// Upper limit on [`Model::parameters`]'s length, so that hot loops can use arrays.
+/// Upper limit on the rows of one [`Scattering`], so that hot loops can use arrays.
 pub const MAX_ROWS: usize = 8;
+
+/// Upper limit on [`Model::parameters`]'s length: [`MAX_ROWS`] for each yarn system.
+pub const MAX_DERIVATIVES: usize = YARN_SYSTEMS.len() * MAX_ROWS;
 
 /// Value of a scattering function and its derivatives at one pair of directions.
 #[derive(Debug, Clone, Copy)]
@@ -145,15 +150,29 @@ pub trait Model: Send + Sync {
     /// The name used on the command line and in files, e.g. `khungurn`.
     fn name(&self) -> &'static str;
 
-    /// The parameters in the order of [`Evaluation::derivative`]'s rows; at most [`MAX_ROWS`].
+    /// The parameters in the order of [`Evaluation::derivative`]'s rows; at most [`MAX_ROWS`] for each of [`Model::systems`].
     fn parameters(&self) -> &'static [ParameterInfo];
+
+    /// The yarn systems that have parameters of their own, in the order of their numbers: [`Model::parameters`] lists the
+    /// same rows for each of them. Empty when one set of parameters serves all fibers.
+    fn systems(&self) -> &'static [&'static str] {
+        &[]
+    }
 
     /// The scattering function at `parameters`.
     ///
     /// # Errors
     /// When a value is missing, not finite, or where the model has no meaning (width zero, color below zero). Values
-    /// outside the published box but meaningful are accepted.
+    /// outside the published box but meaningful are accepted. When there is one for each of [`Model::systems`].
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>>;
+
+    /// The scattering functions at `parameters`: one for each of [`Model::systems`], or the one for all fibers.
+    ///
+    /// # Errors
+    /// As [`Model::prepare`].
+    fn prepare_each(&self, parameters: &Parameters) -> Result<Vec<Box<dyn Scattering>>> {
+        Ok(vec![self.prepare(parameters)?])
+    }
 
     /// A value of parameter `row` with lobes about `factor` times as wide: an angle times `factor`, but never above a full
     /// turn, unless the model knows better.
@@ -172,12 +191,12 @@ pub trait Model: Send + Sync {
     }
 }
 
-/// All models, in the order `--help` lists them.
+/// All models with one set of parameters, in the order `--help` lists them.
 pub fn models() -> &'static [&'static dyn Model] {
     &[&Khungurn, &Chiang]
 }
 
-/// The model with this name.
+/// The model with this name, e.g. `khungurn`, or `khungurn-per-system` for what [`per_system`] makes of it.
 ///
 /// # Errors
 /// When there is none; the hint lists those that exist.
@@ -186,9 +205,13 @@ pub fn model(name: &str) -> Result<&'static dyn Model> {
         .iter()
         .copied()
         .find(|m| m.name() == name)
+        .or_else(|| per_system::named(name))
         .ok_or_else(|| {
             let known: Vec<_> = models().iter().map(|m| m.name()).collect();
-            Error::new(format!("unknown model '{name}'"))
-                .with_hint(format!("known models: {}", known.join(", ")))
+            Error::new(format!("unknown model '{name}'")).with_hint(format!(
+                "known models: {}; parameters for each yarn system: {}-per-system",
+                known.join(", "),
+                known[0]
+            ))
         })
 }

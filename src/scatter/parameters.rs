@@ -1,7 +1,7 @@
 //! Parameter values by name: the one form in which fits, renderers and files exchange them.
 
-use super::{CHANNELS, Model};
-use crate::base::{Error, Result};
+use super::{CHANNELS, Model, YARN_SYSTEMS};
+use crate::base::{Context, Error, Result};
 use serde_json::{Map, Value, json};
 
 /// What a parameter's number means.
@@ -16,7 +16,7 @@ pub enum Unit {
 /// Name, unit and published range of one model parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ParameterInfo {
-    /// Code name, e.g. `beta_tt`.
+    /// Code name, e.g. `beta_tt`, or `weft.beta_tt` where each yarn system has its own.
     pub name: &'static str,
     /// True when each color channel has its own value.
     pub per_channel: bool,
@@ -31,12 +31,19 @@ pub struct ParameterInfo {
 }
 
 impl ParameterInfo {
-    /// The key in parameter files: the name, with `_deg` for angles.
+    /// The key in parameter files: the name without its yarn system, which has an object of its own there, with `_deg` for
+    /// angles.
     pub fn file_key(&self) -> String {
+        let name = self.name.rsplit('.').next().unwrap_or(self.name);
         match self.unit {
-            Unit::One => self.name.to_owned(),
-            Unit::Angle => format!("{}_deg", self.name),
+            Unit::One => name.to_owned(),
+            Unit::Angle => format!("{name}_deg"),
         }
+    }
+
+    /// The yarn system whose fibers it describes; none when it describes all.
+    pub fn system(&self) -> Option<&'static str> {
+        self.name.split_once('.').map(|(system, _)| system)
     }
 
     /// How many numbers it is: 3 when per channel, else 1.
@@ -141,32 +148,36 @@ impl Parameters {
         self.channels(name)[0]
     }
 
-    /// Reads a parameter file's object: `{"c_r": [3], ..., "beta_r_deg": 5.0, ...}`.
+    /// Reads a parameter file's object: `{"c_r": [3], ..., "beta_r_deg": 5.0, ...}`. For a model with parameters per yarn
+    /// system `{"warp": {...}, "weft": {...}}` with one such object for each, or one object that serves all.
     ///
     /// # Errors
     /// A key is missing, unknown (a near name is suggested), of the wrong shape, or not finite.
     pub fn from_json(model: &dyn Model, object: &Value) -> Result<Self> {
-        let infos = model.parameters();
-        let map = object.as_object().ok_or_else(|| {
-            Error::new("parameters: expected a JSON object").with_hint(example_hint(infos))
-        })?;
-        if let Some(unknown) = map
-            .keys()
-            .find(|k| infos.iter().all(|p| p.file_key() != **k))
-        {
+        let (infos, systems) = (model.parameters(), model.systems());
+        if !systems.iter().any(|s| object.get(s).is_some()) {
+            let rows = &infos[..infos.len() / systems.len().max(1)];
+            let set = read_set(model, rows, object)?;
+            let values = set.repeat(systems.len().max(1));
+            return Ok(Self { infos, values });
+        }
+        let unknown = |key: &&String| !systems.contains(&key.as_str());
+        if let Some(key) = object.as_object().and_then(|m| m.keys().find(unknown)) {
             return Err(Error::new(format!(
-                "parameters: unknown key '{unknown}' for model {}",
-                model.name()
+                "parameters: unknown key '{key}' beside those of yarn systems"
             ))
-            .with_hint(example_hint(infos)));
+            .with_hint(systems_hint(infos)));
         }
         let mut values = Vec::new();
-        for info in infos {
-            let key = info.file_key();
-            let value = map.get(&key).ok_or_else(|| {
-                Error::new(format!("parameters: '{key}' is missing")).with_hint(example_hint(infos))
+        for (system, rows) in systems
+            .iter()
+            .zip(infos.chunks(infos.len() / systems.len()))
+        {
+            let own = object.get(system).ok_or_else(|| {
+                Error::new(format!("parameters: '{system}' is missing"))
+                    .with_hint(systems_hint(infos))
             })?;
-            values.extend(read_value(info, &key, value)?);
+            values.extend(read_set(model, rows, own).context(|| format!("yarn system {system}"))?);
         }
         Ok(Self { infos, values })
     }
@@ -181,17 +192,56 @@ impl Parameters {
                 .map(|&v| to_file(info, v))
                 .collect();
             start += info.len();
-            map.insert(
-                info.file_key(),
-                if info.per_channel {
-                    json!(numbers)
-                } else {
-                    json!(numbers[0])
-                },
-            );
+            let number = if info.per_channel {
+                json!(numbers)
+            } else {
+                json!(numbers[0])
+            };
+            match info.system() {
+                Some(system) => {
+                    let own = map.entry(system).or_insert_with(|| json!({}));
+                    own[info.file_key()] = number;
+                }
+                None => {
+                    map.insert(info.file_key(), number);
+                }
+            }
         }
         Value::Object(map)
     }
+}
+
+/// One set of values, flat: what an object of a parameter file says about `infos`.
+fn read_set(model: &dyn Model, infos: &[ParameterInfo], object: &Value) -> Result<Vec<f64>> {
+    let map = object.as_object().ok_or_else(|| {
+        Error::new("parameters: expected a JSON object").with_hint(example_hint(infos))
+    })?;
+    if let Some(unknown) = map
+        .keys()
+        .find(|k| infos.iter().all(|p| p.file_key() != **k))
+    {
+        let hint = match YARN_SYSTEMS.contains(&unknown.as_str()) {
+            true => format!(
+                "these are parameters per yarn system: model {}-per-system",
+                model.name()
+            ),
+            false => example_hint(infos),
+        };
+        return Err(Error::new(format!(
+            "parameters: unknown key '{unknown}' for model {}",
+            model.name()
+        ))
+        .with_hint(hint));
+    }
+    let mut values = Vec::new();
+    for info in infos {
+        let key = info.file_key();
+        let value = map.get(&key).ok_or_else(|| {
+            Error::new(format!("parameters: '{key}' is missing")).with_hint(example_hint(infos))
+        })?;
+        values.extend(read_value(info, &key, value)?);
+    }
+    Ok(values)
 }
 
 fn to_file(info: &ParameterInfo, value: f64) -> f64 {
@@ -231,6 +281,16 @@ fn read_value(info: &ParameterInfo, key: &str, value: &Value) -> Result<Vec<f64>
             }
         })
         .collect())
+}
+
+fn systems_hint(infos: &[ParameterInfo]) -> String {
+    let mut systems: Vec<&str> = infos.iter().filter_map(ParameterInfo::system).collect();
+    systems.dedup();
+    let parts: Vec<String> = systems
+        .iter()
+        .map(|s| format!("\"{s}\": {{...}}"))
+        .collect();
+    format!("expected {{{}}}", parts.join(", "))
 }
 
 fn example_hint(infos: &[ParameterInfo]) -> String {

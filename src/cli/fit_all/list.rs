@@ -279,6 +279,7 @@ impl Combination<'_> {
                 measurements: folder.join(self.measurements),
                 fabric: folder.join(self.fabric),
                 model: self.model.to_owned(),
+                per_system: false,
                 method: method.to_owned(),
                 seed: self.seed,
                 start: o.start.as_ref().map(|start| folder.join(start)),

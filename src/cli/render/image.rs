@@ -220,7 +220,8 @@ fn wanted_derivatives(
     }
     let (mut rows, mut wanted) = (Vec::new(), Vec::<Derivative>::new());
     for name in names {
-        let (base, channel) = match name.split_once('.') {
+        let (base, channel) = match name.rsplit_once('.') {
+            _ if known.contains(&name) => (name, None),
             Some((base, channel)) => (base, ["r", "g", "b"].iter().position(|c| *c == channel)),
             None => (name, None),
         };
@@ -314,6 +315,10 @@ mod tests {
         let list: Vec<_> = wanted.iter().map(|d| (d.layer, d.channel)).collect();
         assert_eq!(list, [(0, None), (1, Some(1)), (1, None)]);
         assert_eq!(read(&["all", "c_r"]).unwrap().1.len(), 5);
+        let systems = Parameters::defaults(scatter::model("khungurn-per-system").unwrap());
+        let names = ["weft.c_r", "weft.c_r.b"].map(str::to_owned);
+        let (rows, wanted) = wanted_derivatives(&names, &systems).unwrap();
+        assert_eq!((rows, wanted[1].channel), (vec![5], Some(2)));
         for bad in ["c_t", "c_tt.x", "c_tt.", ".r", ""] {
             let error = read(&[bad]).unwrap_err().report();
             assert!(error.contains("known: c_r, c_tt, beta_r"), "{bad}: {error}");

@@ -18,7 +18,7 @@ pub(super) struct Subject {
     /// Scattering model
     #[arg(long, default_value = "khungurn")]
     model: String,
-    /// Model parameters (JSON, or a fit.json); the published defaults when left out
+    /// Model parameters (JSON, or a fit.json), for all fibers or for warp and weft; the published defaults when left out
     #[arg(long, value_name = "P.json")]
     params: Option<PathBuf>,
     #[command(flatten)]
@@ -86,9 +86,9 @@ impl Subject {
     pub(super) fn read(&self, integrator: Integrator) -> Result<Ready> {
         let model = scatter::model(&self.model)?;
         let configurations = self.poses.configurations()?;
-        let parameters = match &self.params {
-            Some(path) => inputs::parameters(path, model)?,
-            None => Parameters::defaults(model),
+        let (parameters, model) = match &self.params {
+            Some(path) => inputs::parameters_and_model(path, model)?,
+            None => (Parameters::defaults(model), model),
         };
         let options = FiberSceneOptions {
             integrator,

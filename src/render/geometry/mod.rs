@@ -150,6 +150,11 @@ impl Geometry {
         (s.start + offset, s.end + offset, s.radius)
     }
 
+    /// The yarn system it belongs to.
+    pub(super) fn system(&self, image: Image) -> usize {
+        self.segments[image.segment as usize].yarn_system.into()
+    }
+
     /// The copies that continue this one along its fiber, before and after.
     pub(super) fn neighbors(&self, image: Image) -> [Option<Image>; 2] {
         let Skip([_, before, after]) = self.skip(image);

@@ -23,7 +23,7 @@ use crate::base::{Error, Result, Watch};
 use crate::scatter::{BatchEvaluate, CHANNELS, Defensive, Model, OneByOne, Parameters, Scattering};
 use rayon::prelude::*;
 use recorder::{Page, Recorder};
-use replay::{LampSums, Replay};
+use replay::{Kernels, LampSums, Replay};
 use std::sync::atomic::{AtomicU64, Ordering};
 use trust::Shares;
 
@@ -105,25 +105,28 @@ impl FiberScene {
         request.check()?;
         self.check_poses(request.configurations)?;
         check(options, self.options.integrator)?;
-        let at = self.model.prepare(request.parameters)?;
-        let kernel = kernel(&*at);
+        let at = self.model.prepare_each(request.parameters)?;
+        let kernels = kernels(&at);
         let widened = self.model.widened(request.parameters, options.widening);
-        let wide = self.model.prepare(&widened)?;
-        let mixture = Defensive {
-            at: &*at,
-            wide: &*wide,
-            share: options.defensive,
-        };
-        let sampled: &dyn Scattering = if options.defensive > 0.0 {
-            &mixture
+        let wide = self.model.prepare_each(&widened)?;
+        let mut mixtures: Vec<Box<dyn Scattering + '_>> = Vec::new();
+        for (at, wide) in at.iter().zip(&wide) {
+            mixtures.push(Box::new(Defensive {
+                at: &**at,
+                wide: &**wide,
+                share: options.defensive,
+            }));
+        }
+        let sampled = if options.defensive > 0.0 {
+            &mixtures
         } else {
-            &*at
+            &at
         };
         let groups = groups(self, request.configurations);
         let round = estimate::plan(self, sampled, &groups, request, watch)?;
         let used = AtomicU64::new(0);
         let recorded = round.run(watch, |batch| {
-            let mut recorder = Recorder::new(&*kernel, groups[batch.group].lamps.len());
+            let mut recorder = Recorder::new(&*kernels[0], groups[batch.group].lamps.len());
             round.trace(batch, &mut recorder, Recorder::end_path);
             let pages = recorder.finish()?;
             let bytes: usize = pages.iter().map(Page::bytes).sum();
@@ -148,7 +151,7 @@ impl FiberScene {
             batches: batches.collect(),
             weights: groups.iter().map(ones).collect(),
         };
-        recording.weigh(&*kernel);
+        recording.weigh(&kernels);
         Ok(recording)
     }
 }
@@ -184,7 +187,11 @@ fn over_budget(budget: u64, paths: u64) -> Error {
     .with_hint("record fewer paths, or allow more memory: a path takes about 100 to 300 bytes")
 }
 
-/// The model's kernel, or the one that serves all models.
+/// The model's kernels, or the one that serves all models.
+fn kernels(sets: &[Box<dyn Scattering>]) -> Vec<Box<dyn BatchEvaluate + '_>> {
+    sets.iter().map(|s| kernel(&**s)).collect()
+}
+
 fn kernel(scattering: &dyn Scattering) -> Box<dyn BatchEvaluate + '_> {
     match scattering.batch() {
         Some(kernel) => kernel,
@@ -236,8 +243,8 @@ impl Recording {
 
     fn recall(&self, parameters: &Parameters, rows: usize) -> Result<Recalled> {
         let clock = (std::time::Instant::now(), cpu_seconds());
-        let scattering = self.model.prepare(parameters)?;
-        let sums = self.sums(&*kernel(&*scattering), rows);
+        let sets = self.model.prepare_each(parameters)?;
+        let sums = self.sums(&kernels(&sets), rows);
         let estimate = |(index, &(id, paths)): (usize, &(u32, u64))| {
             let mine = self.of_configuration(index, &sums);
             let moments = estimate::combine(mine.map(|(sums, n)| (&sums.sums, n)), rows);
@@ -262,12 +269,12 @@ impl Recording {
     }
 
     /// Sums of every batch, per lamp of its group.
-    fn sums(&self, kernel: &dyn BatchEvaluate, rows: usize) -> Vec<Vec<LampSums>> {
+    fn sums(&self, kernels: Kernels<'_>, rows: usize) -> Vec<Vec<LampSums>> {
         let one = |replay: &mut Replay, batch: &RecordedBatch| {
             let weights = &self.weights[batch.group];
             let mut lamps = vec![LampSums::default(); weights.len()];
             for page in &batch.pages {
-                replay.add(page, kernel, rows, weights, &mut lamps);
+                replay.add(page, kernels, rows, weights, &mut lamps);
             }
             lamps
         };
@@ -289,8 +296,8 @@ impl Recording {
     }
 
     /// Keeps what every path contributes at the parameters of the recording.
-    fn weigh(&mut self, kernel: &dyn BatchEvaluate) {
-        let sums = self.sums(kernel, 0);
+    fn weigh(&mut self, kernels: Kernels<'_>) {
+        let sums = self.sums(kernels, 0);
         for (group, members) in self.members.iter().enumerate() {
             for (lamp, &member) in members.iter().enumerate() {
                 let mine = self.of_configuration(member, &sums);
@@ -305,7 +312,7 @@ impl Recording {
         let weights = &self.weights;
         let weigh = |replay: &mut Replay, batch: &mut RecordedBatch| {
             for page in &mut batch.pages {
-                page.before = replay.brightness(page, kernel, &weights[batch.group]);
+                page.before = replay.brightness(page, kernels, &weights[batch.group]);
             }
         };
         let batches = self.batches.par_iter_mut();
@@ -318,7 +325,7 @@ mod tests {
     use super::*;
     use crate::math::Random;
     use crate::render::path::{Event, Visitor};
-    use crate::render::summation::Summation;
+    use crate::render::summation::{Rows, Summation};
     use crate::scatter::Khungurn;
     use glam::DVec3;
 
@@ -357,6 +364,7 @@ mod tests {
                 wi: sampled.wi,
                 wo,
                 h: 0.0,
+                set: 0,
                 factor: factor / evaluation.value[1],
                 evaluation: &evaluation,
             });
@@ -383,12 +391,13 @@ mod tests {
     #[test]
     fn branching_paths_give_their_traced_sums() {
         let parameters = Parameters::defaults(&Khungurn);
-        let at = Khungurn.prepare(&parameters).unwrap();
-        let kernel = kernel(&*at);
-        let mut both = Both(Summation::new(5, 2), Recorder::new(&*kernel, 2));
+        let at = Khungurn.prepare_each(&parameters).unwrap();
+        let kernels = kernels(&at);
+        let rows = Rows::of(&Khungurn);
+        let mut both = Both(Summation::new(rows, 2), Recorder::new(&*kernels[0], 2));
         let mut random = Random::keyed(&[8]);
         for _ in 0..2000 {
-            grow(0, &*at, &mut random, &mut both);
+            grow(0, &*at[0], &mut random, &mut both);
             both.1.end_path();
         }
         let pages = both.1.finish().unwrap();
@@ -398,11 +407,11 @@ mod tests {
         let mut replay = Replay::default();
         for mut page in pages {
             let ones = [[1.0; CHANNELS]; 2];
-            replay.add(&page, &*kernel, 5, &ones, &mut sums);
+            replay.add(&page, &kernels, 5, &ones, &mut sums);
             // Negative control: every seventh bounce continues another path's start.
             let links = page.bounces.parent.iter_mut().step_by(7);
             links.for_each(|link| *link = 0);
-            replay.add(&page, &*kernel, 5, &ones, &mut wrong);
+            replay.add(&page, &kernels, 5, &ones, &mut wrong);
         }
         for lamp in 0..2 {
             let (traced, told) = (&both.0.lamps[lamp], &sums[lamp].sums);

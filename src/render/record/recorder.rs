@@ -33,6 +33,8 @@ pub(super) struct Events {
     pub(super) factor: Vec<f32>,
     /// The node that the event continues.
     pub(super) parent: Vec<u32>,
+    /// The set of parameters of its fiber; of the events past the end it is the first.
+    pub(super) set: Vec<u8>,
 }
 
 impl Events {
@@ -43,7 +45,11 @@ impl Events {
         }
     }
 
-    fn push(&mut self, footprint: &Footprint, factor: f32, parent: u32) {
+    fn push(&mut self, footprint: &Footprint, factor: f32, parent: u32, set: u8) {
+        if set > 0 {
+            self.set.resize(self.len(), 0);
+            self.set.push(set);
+        }
         for (column, x) in self.columns.iter_mut().zip(footprint) {
             column.push(*x);
         }
@@ -59,10 +65,13 @@ impl Events {
         self.columns.iter_mut().for_each(Vec::shrink_to_fit);
         self.factor.shrink_to_fit();
         self.parent.shrink_to_fit();
+        self.set.shrink_to_fit();
     }
 
     fn bytes(&self) -> usize {
-        (self.columns.len() + 2) * 4 * self.len() + self.columns.len() * size_of::<Vec<f32>>()
+        (self.columns.len() + 2) * 4 * self.len()
+            + self.set.len()
+            + self.columns.len() * size_of::<Vec<f32>>()
     }
 }
 
@@ -123,6 +132,7 @@ enum What {
     Bounce {
         footprint: Footprint,
         factor: f32,
+        set: u8,
     },
     Reflect {
         weight: [f32; CHANNELS],
@@ -131,6 +141,7 @@ enum What {
         lamp: usize,
         footprint: Footprint,
         factor: f32,
+        set: u8,
     },
     Arrive {
         lamp: usize,
@@ -196,17 +207,22 @@ impl<'a> Recorder<'a> {
             let parent = self.reached[step.depth];
             let node = BOUNCE | page.bounces.len() as u32;
             match &step.what {
-                What::Bounce { footprint, factor } => page.bounces.push(footprint, *factor, parent),
+                What::Bounce {
+                    footprint,
+                    factor,
+                    set,
+                } => page.bounces.push(footprint, *factor, parent, *set),
                 What::Reflect { weight } => {
                     page.reflections.push((page.bounces.len() as u32, *weight));
-                    page.bounces.push(&Footprint::default(), 0.0, parent);
+                    page.bounces.push(&Footprint::default(), 0.0, parent, 0);
                 }
                 What::Connect {
                     lamp,
                     footprint,
                     factor,
+                    set,
                 } => {
-                    page.connections[*lamp].push(footprint, *factor, parent);
+                    page.connections[*lamp].push(footprint, *factor, parent, *set);
                     continue;
                 }
                 What::Arrive { lamp, factor } => {
@@ -261,8 +277,13 @@ impl<'a> Recorder<'a> {
 impl Visitor for Recorder<'_> {
     fn bounce(&mut self, depth: usize, event: Event<'_>) {
         let footprint = self.kernel.footprint(event.wi, event.wo, event.h);
-        let factor = self.factor(&event);
-        self.push(depth, What::Bounce { footprint, factor });
+        let (factor, set) = (self.factor(&event), event.set as u8);
+        let what = What::Bounce {
+            footprint,
+            factor,
+            set,
+        };
+        self.push(depth, what);
     }
 
     fn reflect(&mut self, depth: usize, weight: [f64; CHANNELS]) {
@@ -272,15 +293,14 @@ impl Visitor for Recorder<'_> {
 
     fn connect(&mut self, depth: usize, lamp: usize, event: Event<'_>) {
         let footprint = self.kernel.footprint(event.wi, event.wo, event.h);
-        let factor = self.factor(&event);
-        self.push(
-            depth,
-            What::Connect {
-                lamp,
-                footprint,
-                factor,
-            },
-        );
+        let (factor, set) = (self.factor(&event), event.set as u8);
+        let what = What::Connect {
+            lamp,
+            footprint,
+            factor,
+            set,
+        };
+        self.push(depth, what);
     }
 
     fn arrive(&mut self, depth: usize, lamp: usize, factor: [f64; CHANNELS]) {

@@ -34,6 +34,84 @@ pub(super) struct Replay {
     light: Vec<Color>,
     /// Per event, what is multiplied with the slopes: `[channel][event]`.
     carried: [Vec<f32>; CHANNELS],
+    sorted: Sorted,
+}
+
+/// The kernels of all fibers, or of each yarn system's.
+pub(super) type Kernels<'a> = &'a [Box<dyn BatchEvaluate + 'a>];
+
+/// The events of one set of parameters, side by side for its kernel.
+#[derive(Default)]
+struct Sorted {
+    /// Where they come from.
+    places: Vec<usize>,
+    columns: Vec<Vec<f32>>,
+    values: BatchValues,
+}
+
+impl Sorted {
+    /// `S` times the frozen factor, and slopes of `S` by the rows of all sets.
+    fn evaluate(
+        &mut self,
+        kernels: Kernels<'_>,
+        events: &Events,
+        rows: usize,
+        out: &mut BatchValues,
+    ) {
+        out.resize(events.len(), rows);
+        match kernels {
+            [kernel] => evaluate(&**kernel, &events.columns, out),
+            _ => (0..kernels.len()).for_each(|set| self.evaluate_set(kernels, set, events, out)),
+        }
+        for value in &mut out.value {
+            for (value, factor) in value.iter_mut().zip(&events.factor) {
+                *value *= factor;
+            }
+        }
+    }
+
+    /// Evaluates the events of one set; by the rows of the others they have no slope.
+    fn evaluate_set(
+        &mut self,
+        kernels: Kernels<'_>,
+        set: usize,
+        events: &Events,
+        out: &mut BatchValues,
+    ) {
+        let of = |n: usize| usize::from(events.set.get(n).copied().unwrap_or(0));
+        self.places.clear();
+        self.places
+            .extend((0..events.len()).filter(|n| of(*n) == set));
+        self.columns
+            .resize_with(events.columns.len(), Default::default);
+        for (own, column) in self.columns.iter_mut().zip(&events.columns) {
+            own.clear();
+            own.extend(self.places.iter().map(|n| column[*n]));
+        }
+        let rows = out.slope.len() / kernels.len();
+        self.values.resize(self.places.len(), rows);
+        evaluate(&*kernels[set], &self.columns, &mut self.values);
+        for c in 0..CHANNELS {
+            put(&self.places, &self.values.value[c], &mut out.value[c]);
+        }
+        for (row, slope) in out.slope.iter_mut().enumerate() {
+            let own = row
+                .checked_sub(set * rows)
+                .and_then(|r| self.values.slope.get(r));
+            for c in 0..CHANNELS {
+                match own {
+                    Some(own) => put(&self.places, &own[c], &mut slope[c]),
+                    None => self.places.iter().for_each(|n| slope[c][*n] = 0.0),
+                }
+            }
+        }
+    }
+}
+
+fn put(places: &[usize], values: &[f32], out: &mut [f32]) {
+    for (place, value) in places.iter().zip(values) {
+        out[*place] = *value;
+    }
 }
 
 impl Replay {
@@ -42,14 +120,14 @@ impl Replay {
     pub(super) fn add(
         &mut self,
         page: &Page,
-        kernel: &dyn BatchEvaluate,
+        kernels: Kernels<'_>,
         rows: usize,
         weights: &[[f32; CHANNELS]],
         lamps: &mut [LampSums],
     ) {
-        self.begin(page, kernel, rows);
+        self.begin(page, kernels, rows);
         for (lamp, sums) in lamps.iter_mut().enumerate() {
-            self.illuminate(page, lamp, kernel, rows, sums);
+            self.illuminate(page, lamp, kernels, rows, sums);
             let before = page.before.get(lamp);
             for (start, path) in self.light[..page.starts].iter().enumerate() {
                 (0..CHANNELS).for_each(|c| sums.sums.value[c] += f64::from(path[c]));
@@ -66,12 +144,12 @@ impl Replay {
     pub(super) fn brightness(
         &mut self,
         page: &Page,
-        kernel: &dyn BatchEvaluate,
+        kernels: Kernels<'_>,
         weights: &[[f32; CHANNELS]],
     ) -> Vec<Vec<f32>> {
-        self.begin(page, kernel, 0);
+        self.begin(page, kernels, 0);
         let one = |(lamp, weights): (usize, &[f32; CHANNELS])| {
-            self.illuminate(page, lamp, kernel, 0, &mut LampSums::default());
+            self.illuminate(page, lamp, kernels, 0, &mut LampSums::default());
             let starts = &self.light[..page.starts];
             starts
                 .iter()
@@ -81,8 +159,8 @@ impl Replay {
         weights.iter().enumerate().map(one).collect()
     }
 
-    fn begin(&mut self, page: &Page, kernel: &dyn BatchEvaluate, rows: usize) {
-        evaluate(kernel, &page.bounces, rows, &mut self.bounces);
+    fn begin(&mut self, page: &Page, kernels: Kernels<'_>, rows: usize) {
+        (self.sorted).evaluate(kernels, &page.bounces, rows, &mut self.bounces);
         for &(node, weight) in &page.reflections {
             for c in 0..CHANNELS {
                 self.bounces.value[c][node as usize] = weight[c];
@@ -96,13 +174,13 @@ impl Replay {
         &mut self,
         page: &Page,
         lamp: usize,
-        kernel: &dyn BatchEvaluate,
+        kernels: Kernels<'_>,
         rows: usize,
         sums: &mut LampSums,
     ) {
         self.light.clear();
         self.light.resize(self.throughput.len(), DARK);
-        self.connect(&page.connections[lamp], kernel, rows, sums);
+        self.connect(&page.connections[lamp], kernels, rows, sums);
         for &(parent, factor) in &page.arrivals[lamp] {
             let light = &mut self.light[parent as usize];
             (0..CHANNELS).for_each(|c| light[c] += factor[c]);
@@ -132,14 +210,8 @@ impl Replay {
     }
 
     /// Light and derivatives of the side branches to one lamp.
-    fn connect(
-        &mut self,
-        events: &Events,
-        kernel: &dyn BatchEvaluate,
-        rows: usize,
-        sums: &mut LampSums,
-    ) {
-        evaluate(kernel, events, rows, &mut self.connections);
+    fn connect(&mut self, events: &Events, kernels: Kernels<'_>, rows: usize, sums: &mut LampSums) {
+        (self.sorted).evaluate(kernels, events, rows, &mut self.connections);
         let value = self
             .connections
             .value
@@ -194,18 +266,11 @@ fn brightness(light: &Color, weights: &[f32; CHANNELS]) -> f32 {
     light[0] * weights[0] + light[1] * weights[1] + light[2] * weights[2]
 }
 
-/// `S` times the frozen factor, and slopes of `S`.
-fn evaluate(kernel: &dyn BatchEvaluate, events: &Events, rows: usize, out: &mut BatchValues) {
-    out.resize(events.len(), rows);
-    if events.len() == 0 {
-        return;
-    }
-    let columns: Vec<&[f32]> = events.columns.iter().map(Vec::as_slice).collect();
-    kernel.evaluate(&columns, out);
-    for value in &mut out.value {
-        for (value, factor) in value.iter_mut().zip(&events.factor) {
-            *value *= factor;
-        }
+/// `S` and its slopes.
+fn evaluate(kernel: &dyn BatchEvaluate, columns: &[Vec<f32>], out: &mut BatchValues) {
+    let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
+    if !columns[0].is_empty() {
+        kernel.evaluate(&columns, out);
     }
 }
 
