@@ -5,13 +5,16 @@
 
 mod adam;
 mod choice;
+mod goodness;
 mod gradient;
 mod information;
 mod linear;
 mod objective;
 mod options;
+mod patterns;
 mod pool;
 mod predict;
+mod profile;
 mod published;
 mod rescaling;
 mod result;
@@ -29,8 +32,8 @@ pub use predict::{Compared, Comparison, Prediction, compare, predict};
 pub use published::{Selection, SgdOptions};
 pub use rescaling::{Increment, RescalingOptions};
 pub use result::{
-    ConfigurationResult, Correlation, Cost, FitResult, Iteration, ObjectiveResult, ParameterResult,
-    Truth, Verdict, refuse_existing,
+    ConfigurationResult, Correlation, Cost, FitResult, Goodness, IntervalMethod, Iteration,
+    ObjectiveResult, ParameterResult, Pattern, Truth, Verdict, refuse_existing,
 };
 pub use suggest::{
     Aim, Knowledge, MeasuredPose, SuggestOptions, SuggestedShot, Suggestion, suggest,
@@ -84,7 +87,7 @@ pub fn fit(
         Method::Adam => adam::search(&problem, &u, &mut spent, watch)?,
     };
     let check = summary::FreshCheck::render(&problem, &found, &mut spent, watch)?;
-    let mut result = summary::summarize(&problem, &start, &found, &check, spent);
+    let mut result = summary::summarize(&problem, &start, &found, &check, spent)?;
     if !note.is_empty() {
         result.reason = format!("{} [{note}]", result.reason);
     }

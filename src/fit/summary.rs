@@ -1,18 +1,27 @@
 //! From where the search ended to a [`FitResult`]: a fresh pair judges, verdicts are put into words.
 
+use super::goodness::Residuals;
 use super::linear::{box_quadratic, inverse};
 use super::objective::{PairedValue, RenderPair, rms_of};
+use super::patterns::patterns;
 use super::pool::Pool;
+use super::profile::{Profiler, Recorded};
 use super::result::{
-    ConfigurationResult, Correlation, Cost, FitResult, ObjectiveResult, ParameterResult, Verdict,
+    ConfigurationResult, Correlation, Cost, FitResult, IntervalMethod, ObjectiveResult,
+    ParameterResult, Verdict,
 };
 use super::search::{Found, Problem, Spent, Stop, Stretch};
-use super::uncertainty::Samples;
+use super::uncertainty::{Density, Samples};
 use crate::base::{Result, Watch};
+use crate::render::{Effort, Request};
 use crate::scatter::{CHANNELS, Parameters, Unit};
 
 /// Pair index of the final check, far from those of the search.
 const CHECK_INDEX: u64 = 1 << 40;
+/// Pair index of the recorded paths.
+const RECORD_INDEX: u64 = 1 << 41;
+/// Most paths that are recorded, both sets together: evaluating them once takes about 0.02 seconds.
+const MOST_RECORDED: u64 = 200_000;
 /// A full Newton step from the fresh pair may change the means by this fraction beyond its noise.
 const STILL: f64 = 0.002;
 /// Shares of the range at which a parameter is weakly, and not, determined.
@@ -22,6 +31,8 @@ const NOT: f64 = 0.5;
 /// A pair at the fitted parameters that the search has never seen.
 pub(super) struct FreshCheck {
     pair: RenderPair,
+    /// Paths for profiles, where the scene can record.
+    recorded: Option<Recorded>,
     paths: u64,
     value: PairedValue,
     /// Weighted rms change of the means that a full Newton step from this pair would make, and its noise.
@@ -55,15 +66,57 @@ impl FreshCheck {
             state: std::sync::Mutex::new((0, 0.0)),
             interruptible: false,
         };
+        let recorded = if cancelled {
+            None
+        } else {
+            record(problem, found, paths / 4, spent, &stretch)?
+        };
+        let paths = match &recorded {
+            Some(_) => paths - (paths / 4).min(MOST_RECORDED),
+            None => paths,
+        };
         let pair = problem.render(&found.u, paths, &found.check_shares, CHECK_INDEX, &stretch)?;
         spent.add(paths, &pair);
         Ok(Self {
             value: objective.paired(&pair),
             moved: newton_move(problem, found, &pair),
             pair,
+            recorded,
             paths,
         })
     }
+}
+
+/// Records paths for profiles, two times half of `paths` or of the most.
+fn record(
+    problem: &Problem<'_>,
+    found: &Found,
+    paths: u64,
+    spent: &mut Spent,
+    watch: &dyn Watch,
+) -> Result<Option<Recorded>> {
+    let paths = paths.min(MOST_RECORDED);
+    let configurations = problem.objective.configurations();
+    if paths < 128 * configurations.len() as u64 {
+        return Ok(None);
+    }
+    let request = Request {
+        configurations: &configurations,
+        parameters: &problem.space.to_parameters(&found.u),
+        effort: Effort::Total {
+            paths: paths / 2,
+            shares: found.check_shares.clone(),
+        },
+        seed: problem.options.seed,
+        stream: 0,
+    };
+    let recorded = Recorded::new(problem.scene, &request, RECORD_INDEX, watch)?;
+    if let Some(recorded) = &recorded {
+        spent.paths += paths;
+        spent.wall_s += recorded.wall_s;
+        spent.cpu_s += recorded.cpu_s;
+    }
+    Ok(recorded)
 }
 
 fn newton_move(problem: &Problem<'_>, found: &Found, pair: &RenderPair) -> (f64, f64) {
@@ -102,7 +155,7 @@ pub(super) fn summarize(
     found: &Found,
     check: &FreshCheck,
     spent: Spent,
-) -> FitResult {
+) -> Result<FitResult> {
     let Problem {
         scene,
         objective,
@@ -117,11 +170,13 @@ pub(super) fn summarize(
     let jacobian = &found.model.jacobian;
     let gram = jacobian.weighted_gram(&found.model.weights, jacobian);
     noise.add_scaled((0.01 * quality.misfit_percent).powi(2), &gram);
-    let samples = Samples::draw(space, &found.u, &found.model, &noise, options.seed);
-    let uncertainty = parameter_results(problem, start, found, &samples);
-
+    let density = Density::new(space, &found.u, &found.model, &noise);
+    let mut samples = Samples::around(space, &density.center, &density.precision, options.seed);
+    let residuals = Residuals::of(space, objective, found, &check.pair);
+    let methods = profile(problem, found, check, &density, &residuals, &mut samples)?;
+    let uncertainty = parameter_results(problem, start, found, &samples, &methods);
     let (converged, reason) = verdict(problem, found, check, &quality);
-    FitResult {
+    Ok(FitResult {
         format: FitResult::FORMAT.to_owned(),
         parameters: parameters.to_json(),
         model: scene.model().name().to_owned(),
@@ -131,6 +186,8 @@ pub(super) fn summarize(
         converged,
         reason,
         objective: quality,
+        goodness: residuals.goodness(),
+        patterns: patterns(&residuals, objective),
         not_determined: uncertainty
             .iter()
             .filter(|p| p.verdict == Verdict::NotDetermined)
@@ -177,7 +234,45 @@ pub(super) fn summarize(
         history: found.history.clone(),
         command: String::new(),
         truth: None,
+    })
+}
+
+/// Puts profiles in the place of quadratic distributions where those take much of the range or touch a bound, and says
+/// which method each place has.
+fn profile(
+    problem: &Problem<'_>,
+    found: &Found,
+    check: &FreshCheck,
+    density: &Density,
+    residuals: &Residuals,
+    samples: &mut Samples,
+) -> Result<Vec<IntervalMethod>> {
+    let space = problem.space;
+    let mut methods = vec![IntervalMethod::Quadratic; space.len()];
+    let Some(recorded) = &check.recorded else {
+        return Ok(methods);
+    };
+    let profiler = Profiler::new(
+        space,
+        recorded,
+        &found.model.weights,
+        &found.u,
+        &residuals.residual,
+        &density.force,
+    )?;
+    for (j, method) in methods.iter_mut().enumerate() {
+        let (low, high) = (space.lower()[j], space.upper()[j]);
+        let [from, to] = samples.interval(space, j, 0.95, found.u[j]);
+        let edge = 1e-3 * (high - low);
+        if to - from < WEAK * (high - low) && from > low + edge && to < high - edge {
+            continue;
+        }
+        if let Some(sorted) = profiler.quantiles(j, density.scales[j])? {
+            samples.replace(j, sorted);
+            *method = IntervalMethod::Profile;
+        }
     }
+    Ok(methods)
 }
 
 fn quality(problem: &Problem<'_>, found: &Found, check: &FreshCheck) -> ObjectiveResult {
@@ -299,6 +394,7 @@ fn parameter_results(
     start: &Parameters,
     found: &Found,
     samples: &Samples,
+    methods: &[IntervalMethod],
 ) -> Vec<ParameterResult> {
     let space = problem.space;
     let names = start.flat_names();
@@ -339,6 +435,10 @@ fn parameter_results(
                 standard_error: 0.5 * (value(u + half) - value(u - half)),
                 interval_68: samples.interval(space, j, 0.68, found.u[j]).map(value),
                 interval_95: outer.map(value),
+                quantiles: ParameterResult::QUANTILE_LEVELS
+                    .map(|t| value(samples.quantile(j, t)))
+                    .to_vec(),
+                interval_method: methods[j],
                 range_share: share,
                 verdict,
                 sentence: String::new(),
