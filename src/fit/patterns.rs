@@ -27,6 +27,9 @@ struct Group {
     numbers: Vec<usize>,
 }
 
+/// Name, words and members of one side of a distinction.
+type Side<'a> = (&'a str, &'a str, &'a dyn Fn(&Configuration) -> bool);
+
 /// All groups, in a fixed order.
 pub(super) fn patterns(residuals: &Residuals, objective: &Objective) -> Vec<Pattern> {
     let groups = groups(&objective.configurations());
@@ -80,7 +83,7 @@ fn groups(configurations: &[Configuration]) -> Vec<Group> {
     let grazing = GRAZING_DEG.to_radians() - 1e-9;
     let camera = |c: &Configuration| c.camera.theta >= grazing;
     let lamp = |c: &Configuration| c.light.theta >= grazing;
-    let sides: [(&str, &str, &dyn Fn(&Configuration) -> bool); 6] = [
+    let sides: [Side<'_>; 6] = [
         (
             "camera grazing",
             " with the camera beyond 60 degrees",

@@ -25,8 +25,9 @@ use crate::scatter::CHANNELS;
 const FARTHEST: f64 = 2.9;
 /// One step of `z` along the profile.
 const STRIDE: f64 = 0.5;
-/// Most steps to a side.
-const MOST_STEPS: usize = 14;
+/// Most steps to a side, and the longest of them as a share of the range.
+const MOST_STEPS: usize = 40;
+const LONGEST: f64 = 0.06;
 /// Gauss-Newton steps over the other coordinates at each point.
 const INNER: usize = 3;
 /// Most a coordinate may move in one of them.
@@ -214,29 +215,39 @@ impl<'a> Profiler<'a> {
         };
         let mut points = Vec::new();
         let mut u = self.u.to_vec();
+        let longest = LONGEST * (self.space.upper()[j] - self.space.lower()[j]);
         // A first stride from the curvature along the axis, which is never smaller than the profile's.
-        let mut step = STRIDE / (scale * start.curvature[(j, j)]).max(1e-12).sqrt();
+        let steepness = scale * start.curvature[(j, j)];
+        let mut step = (STRIDE / steepness.max(1e-12).sqrt()).min(longest);
         let mut last = 0.0;
         for _ in 0..MOST_STEPS {
             if side * (end - u[j]) <= 0.0 {
                 return Ok(Some(points));
             }
+            let before = u.clone();
             u[j] = if side > 0.0 {
                 (u[j] + step).min(end)
             } else {
                 (u[j] - step).max(end)
             };
             let there = self.minimize_others(j, &mut u)?;
+            let z = ((there.value - start.value).max(0.0) * scale).sqrt();
+            if z - last > 2.5 * STRIDE && step > 1e-2 * longest {
+                // Too far at once to be straight.
+                u = before;
+                step *= 0.4;
+                continue;
+            }
             if !there.trusted {
                 return Ok(None);
             }
-            let z = ((there.value - start.value).max(0.0) * scale).sqrt();
             points.push((u[j], side * z));
             if z >= FARTHEST {
                 return Ok(Some(points));
             }
             // The next stride by how steep the last one was, at most three times as long.
-            step *= (STRIDE / (z - last).max(STRIDE / 3.0)).min(3.0);
+            let factor = STRIDE / (z - last).max(STRIDE / 3.0);
+            step = (step * factor).min(longest);
             last = z;
         }
         Ok(None)
@@ -320,6 +331,89 @@ fn spread(curve: &[(f64, f64)]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::Random;
+    use crate::math::special::normal_probability;
+    use crate::render::{ConfigurationTrust, Estimate, Estimates, Trust};
+    use crate::scatter::{Khungurn, Parameters};
+
+    /// One number, `tanh(2.5 u)` of the first color's search coordinate u: steep in the middle, flat toward both bounds.
+    struct Saturating;
+
+    fn mean(u: f64) -> (f64, f64) {
+        let m = (2.5 * u).tanh();
+        (m, 2.5 * (1.0 - m * m))
+    }
+
+    impl Recall for Saturating {
+        fn recall(&self, parameters: &Parameters) -> Result<Recalled> {
+            let space = SearchSpace::new(parameters)?;
+            let (mean, slope) = mean(space.to_search(parameters)?[0]);
+            let mut derivative = vec![[0.0; 3]; parameters.infos().len()];
+            derivative[0][0] = slope / space.slopes(parameters)[0];
+            let estimate = Estimate {
+                config: 1,
+                mean: [mean, 0.0, 0.0],
+                standard_error: [0.0; 3],
+                derivative_se: derivative.clone(),
+                derivative,
+                paths: 1,
+            };
+            let trust = ConfigurationTrust {
+                config: 1,
+                effective: 1.0,
+                largest_share: 0.0,
+                ratio: 1.0,
+            };
+            Ok(Recalled {
+                estimates: Estimates {
+                    configurations: vec![estimate],
+                    cpu_s: 0.0,
+                    wall_s: 0.0,
+                },
+                trust: Trust {
+                    configurations: vec![trust],
+                },
+            })
+        }
+    }
+
+    #[test]
+    fn profiles_hold_the_truth_where_the_quadratic_picture_fails() {
+        // 95 % intervals of 300 truths over the whole range, of which integrals say that profiles hold 95 % and quadratic
+        // intervals 68 %. Standard error 1.3 %: sees profiles that hold 90 %.
+        let defaults = Parameters::defaults(&Khungurn);
+        let space = SearchSpace::new(&defaults).unwrap();
+        let recorded = Recorded {
+            recordings: [Box::new(Saturating), Box::new(Saturating)],
+            wall_s: 0.0,
+            cpu_s: 0.0,
+        };
+        let sd = 0.2;
+        let weights = [1.0 / (sd * sd), 0.0, 0.0];
+        let (low, high) = (space.lower()[0], space.upper()[0]);
+        let mut random = Random::keyed(&[91]);
+        let (mut by_profile, mut by_quadratic) = (0, 0);
+        for _ in 0..300 {
+            let truth = low + (high - low) * random.uniform();
+            let measured = mean(truth).0 + sd * random.normal();
+            let mut u = space.to_search(&defaults).unwrap();
+            u[0] = (measured.clamp(-1.0 + 1e-9, 1.0 - 1e-9).atanh() / 2.5).clamp(low, high);
+            let (fitted, slope) = mean(u[0]);
+            let residual = [fitted - measured, 0.0, 0.0];
+            let mut gradient = vec![0.0; u.len()];
+            gradient[0] = weights[0] * residual[0] * slope;
+            let profiler =
+                Profiler::new(&space, &recorded, &weights, &u, &residual, &gradient).unwrap();
+            let list = profiler.quantiles(0, 1.0).unwrap().unwrap();
+            by_profile += i32::from((list[50]..=list[1950]).contains(&truth));
+            let z = |x: f64| slope.max(1e-3) * (x - u[0]) / sd;
+            let below = normal_probability(z(low), z(truth)) / normal_probability(z(low), z(high));
+            by_quadratic += i32::from((0.025..=0.975).contains(&below));
+        }
+        assert!(by_profile > 270, "{by_profile} of 300");
+        // Negative control: the quadratic intervals do not hold it as often.
+        assert!(by_quadratic < 250, "{by_quadratic} of 300");
+    }
 
     #[test]
     fn quantiles_of_a_straight_curve_are_normal() {
