@@ -79,6 +79,7 @@ fn measured(scene: &FiberScene, truth: &Parameters) -> Measurements {
     let intensity = |(configuration, e): (&Configuration, goniofit::render::Estimate)| Intensity {
         configuration: *configuration,
         mean: e.mean,
+        present: [true; 3],
         standard_error: e.standard_error,
     };
     Measurements {

@@ -10,7 +10,7 @@ use goniofit::math::statistics::{Running, sidak_level};
 use goniofit::render::{Effort, FiberScene, FiberSceneOptions, Request, Scene};
 use goniofit::scatter::Parameters;
 use goniofit::session::protocols::khungurn16;
-use render_scenes::{GABARDINE, SOFT, WIDE, felt, khungurn, parameters, seed};
+use render_scenes::{SILK, SOFT, WIDE, felt, khungurn, parameters, seed};
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::path::Path;
 
@@ -131,7 +131,7 @@ fn stated_intervals_hold_the_truth_of_a_soft_cloth() {
     intervals_hold(&scene, &parameters(SOFT), 0.05, 120);
 }
 
-/// 300 runs at 2 % over Khungurn's 16 configurations of the bench twill with Gabardine's fibers, under the real light.
+/// 300 runs at 2 % over Khungurn's 16 configurations of the bench twill with Silk's fibers, under the real light.
 /// `RENDER_COVERAGE_RUNS` and `RENDER_COVERAGE_ACCURACY` choose other numbers for partial checks; the limits follow. Sees, for one
 /// number, intervals that hold 86 instead of 95 %.
 #[test]
@@ -142,5 +142,5 @@ fn stated_intervals_hold_the_truth() {
     let scene = FiberScene::new(&fabric.tile, khungurn(), FiberSceneOptions::default()).unwrap();
     let runs = setting("RENDER_COVERAGE_RUNS", 300.0) as u64;
     let accuracy = setting("RENDER_COVERAGE_ACCURACY", 0.02);
-    intervals_hold(&scene, &parameters(GABARDINE), accuracy, runs);
+    intervals_hold(&scene, &parameters(SILK), accuracy, runs);
 }

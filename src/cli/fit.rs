@@ -442,6 +442,12 @@ pub(crate) fn print_table(result: &FitResult) {
         o.n,
         o.measurement_rms_percent
     );
+    if let Some(goodness) = &result.goodness {
+        data!("{}", goodness.sentence);
+    }
+    for pattern in result.patterns.iter().filter(|p| p.significant) {
+        data!("{}", pattern.sentence);
+    }
     data!(
         "{}: {} ({} camera paths, {:.1} s, {:.1} s CPU)",
         if result.converged {

@@ -128,8 +128,22 @@ impl Matrix {
         s
     }
 
+    /// `self' x`.
+    pub(super) fn transpose_times(&self, x: &[f64]) -> Vec<f64> {
+        self.weighted_transpose_times(&vec![1.0; self.n_rows], x)
+    }
+
+    /// Multiplies every row by its factor.
+    pub(super) fn scale_rows(&mut self, factors: &[f64]) {
+        for (m, factor) in factors.iter().enumerate() {
+            for j in 0..self.n_columns {
+                self[(m, j)] *= factor;
+            }
+        }
+    }
+
     /// The rows and columns listed in `keep`.
-    fn sub(&self, keep: &[usize]) -> Self {
+    pub(super) fn sub(&self, keep: &[usize]) -> Self {
         let mut s = Self::zeros(keep.len(), keep.len());
         for (a, &i) in keep.iter().enumerate() {
             for (b, &j) in keep.iter().enumerate() {

@@ -6,14 +6,17 @@
 mod adam;
 mod choice;
 mod gain;
+mod goodness;
 mod gradient;
 mod information;
 mod journal;
 mod linear;
 mod objective;
 mod options;
+mod patterns;
 mod pool;
 mod predict;
+mod profile;
 mod published;
 mod rescaling;
 mod result;
@@ -33,8 +36,8 @@ pub use predict::{Compared, Comparison, Prediction, compare, predict};
 pub use published::{Selection, SgdOptions};
 pub use rescaling::{Increment, RescalingOptions};
 pub use result::{
-    ConfigurationResult, Correlation, Cost, FitResult, GainResult, Iteration, ObjectiveResult,
-    ParameterResult, Truth, Verdict, refuse_existing,
+    ConfigurationResult, Correlation, Cost, FitResult, GainResult, Goodness, IntervalMethod,
+    Iteration, ObjectiveResult, ParameterResult, Pattern, Truth, Verdict, refuse_existing,
 };
 pub use robust::Loss;
 pub use suggest::{
@@ -123,7 +126,7 @@ pub fn fit_with_journal(
     };
     found.history.splice(0..0, history);
     let check = summary::FreshCheck::render(&problem, &mut found, &mut spent, watch)?;
-    let mut result = summary::summarize(&problem, &start, &found, &check, spent);
+    let mut result = summary::summarize(&problem, &start, &found, &check, spent)?;
     if !note.is_empty() {
         result.reason = format!("{} [{note}]", result.reason);
     }

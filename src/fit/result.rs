@@ -126,6 +126,27 @@ impl Verdict {
     }
 }
 
+/// How an interval was found (docs/fit.md).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum IntervalMethod {
+    /// From the curvature of the objective at the fit.
+    #[default]
+    Quadratic,
+    /// From the objective itself, minimized over the other parameters.
+    Profile,
+}
+
+impl IntervalMethod {
+    /// In one word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Quadratic => "quadratic",
+            Self::Profile => "profile",
+        }
+    }
+}
+
 /// One flat parameter with its uncertainty; angles in degrees.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParameterResult {
@@ -147,6 +168,13 @@ pub struct ParameterResult {
     pub interval_68: [f64; 2],
     /// 95 % interval, inside the bounds.
     pub interval_95: [f64; 2],
+    /// The distribution the intervals come from: values below which the parameter lies with the probabilities
+    /// [`ParameterResult::QUANTILE_LEVELS`]. Empty in files of earlier versions.
+    #[serde(default)]
+    pub quantiles: Vec<f64>,
+    /// Where that distribution comes from; quadratic in files of earlier versions.
+    #[serde(default)]
+    pub interval_method: IntervalMethod,
     /// Share of the range (in search coordinates) the 95 % interval takes.
     pub range_share: f64,
     /// The judgement.
@@ -169,6 +197,71 @@ pub struct GainResult {
     /// 95 % interval.
     pub interval_95: [f64; 2],
     /// The same as a sentence.
+    pub sentence: String,
+}
+
+impl ParameterResult {
+    /// The probabilities of [`ParameterResult::quantiles`].
+    pub const QUANTILE_LEVELS: [f64; 15] = [
+        0.005, 0.025, 0.05, 0.1, 0.16, 0.25, 0.375, 0.5, 0.625, 0.75, 0.84, 0.9, 0.95, 0.975, 0.995,
+    ];
+
+    /// The probability that the parameter lies below `value` (in the result's unit), linear between the kept quantiles and
+    /// on to the bounds; `None` when no quantiles were kept.
+    pub fn probability_below(&self, value: f64) -> Option<f64> {
+        let levels = Self::QUANTILE_LEVELS.into_iter();
+        if self.quantiles.len() != levels.len() {
+            return None;
+        }
+        let kept = levels.zip(self.quantiles.iter().copied());
+        let mut before = (0.0, self.lower_bound);
+        for (level, quantile) in kept.chain([(1.0, self.upper_bound)]) {
+            if value <= quantile {
+                let width = quantile - before.1;
+                let part = if width > 0.0 {
+                    ((value - before.1) / width).max(0.0)
+                } else {
+                    1.0
+                };
+                return Some(before.0 + part * (level - before.0));
+            }
+            before = (level, quantile);
+        }
+        Some(1.0)
+    }
+}
+
+/// Whether the residuals are as large as errors explain (docs/fit.md).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Goodness {
+    /// `sum e^2 / (measurement variance + render variance)` over all numbers, e the residuals of the final check.
+    pub statistic: f64,
+    /// Its mean when the model is right: less than the count of numbers by what the fit absorbs.
+    pub expected: f64,
+    /// Estimated degrees of freedom: those of a chi-square distribution with the same mean and variance, scaled.
+    pub degrees_of_freedom: f64,
+    /// Probability of a larger statistic when the model is right.
+    pub probability: f64,
+    /// The same in words.
+    pub sentence: String,
+}
+
+/// The mean residual of numbers that have something in common.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Pattern {
+    /// What they have in common.
+    pub name: String,
+    /// How many they are.
+    pub numbers: usize,
+    /// Mean of their relative residuals (rendered minus measured), percent.
+    pub mean_percent: f64,
+    /// What measurement and render errors would leave of it after the fit (standard deviation), percent.
+    pub se_percent: f64,
+    /// Probability of a mean as far from zero when the model is right.
+    pub probability: f64,
+    /// Whether it is too improbable to be the luckiest of all patterns looked at (1 % for all together).
+    pub significant: bool,
+    /// In words.
     pub sentence: String,
 }
 
@@ -233,6 +326,13 @@ pub struct FitResult {
     pub reason: String,
     /// Fit quality.
     pub objective: ObjectiveResult,
+    /// Whether the residuals are as large as errors explain; none where a number has no error, and in files of earlier
+    /// versions.
+    #[serde(default)]
+    pub goodness: Option<Goodness>,
+    /// Mean residuals of groups of configurations and of channels. Empty in files of earlier versions.
+    #[serde(default)]
+    pub patterns: Vec<Pattern>,
     /// Names of parameters the data do not determine.
     pub not_determined: Vec<String>,
     /// Every flat parameter with its intervals.

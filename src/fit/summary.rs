@@ -1,19 +1,28 @@
 //! From where the search ended to a [`FitResult`]: a fresh pair judges, verdicts are put into words.
 
 use super::gain;
+use super::goodness::Residuals;
 use super::linear::{box_quadratic, inverse};
 use super::objective::{PairedValue, RenderPair, relative_weight, rms_of};
+use super::patterns::patterns;
 use super::pool::Pool;
+use super::profile::{Profiler, Recorded};
 use super::result::{
-    ConfigurationResult, Correlation, Cost, FitResult, ObjectiveResult, ParameterResult, Verdict,
+    ConfigurationResult, Correlation, Cost, FitResult, IntervalMethod, ObjectiveResult,
+    ParameterResult, Verdict,
 };
 use super::search::{AFTER_INTERRUPT, Found, Problem, Spent, Stop, Stretch};
-use super::uncertainty::Samples;
+use super::uncertainty::{Density, Samples};
 use crate::base::{Result, Watch};
+use crate::render::{Effort, Request};
 use crate::scatter::{CHANNELS, Parameters, Unit};
 
 /// Pair index of the final check, far from those of the search.
 const CHECK_INDEX: u64 = 1 << 40;
+/// Pair index of the recorded paths.
+const RECORD_INDEX: u64 = 1 << 41;
+/// Most paths that are recorded, both sets together: evaluating them once takes about 0.02 seconds.
+const MOST_RECORDED: u64 = 200_000;
 /// A full Newton step from the fresh pair may change the means by this fraction beyond its noise.
 const STILL: f64 = 0.002;
 /// Shares of the range at which a parameter is weakly, and not, determined.
@@ -23,6 +32,8 @@ const NOT: f64 = 0.5;
 /// A pair at the fitted parameters that the search has never seen.
 pub(super) struct FreshCheck {
     pair: RenderPair,
+    /// Paths for profiles, where the scene can record.
+    recorded: Option<Recorded>,
     paths: u64,
     value: PairedValue,
     /// Weighted rms change of the means that a full Newton step from this pair would make, and its noise.
@@ -41,31 +52,35 @@ impl FreshCheck {
         let objective = problem.objective;
         let least = 64 * objective.intensities().len() as u64;
         let left = spent.left(&problem.options.budget, 1.0).unwrap_or(u64::MAX);
-        let render = |found: &Found, usual: u64, index: u64| {
-            let paths = usual.min(left).max(least);
-            let stretch = Stretch {
-                watch,
-                stage: "fit: final check",
-                done: 0.0,
-                each: 0.5,
-                state: std::sync::Mutex::new((0, 0.0)),
-                interruptible: index < AFTER_INTERRUPT,
-            };
-            let pair = problem.render(&found.u, paths, &found.check_shares, index, &stretch)?;
-            Ok((pair, paths))
+        let stretch = |interruptible: bool| Stretch {
+            watch,
+            stage: "fit: final check",
+            done: 0.0,
+            each: 0.5,
+            state: std::sync::Mutex::new((0, 0.0)),
+            interruptible,
         };
+        let mut recorded = None;
         let mut whole = None;
         if found.stop != Stop::Cancelled {
-            whole = match render(found, spent.paths / 3, CHECK_INDEX) {
-                Err(_) if watch.cancelled() => None,
-                rendered => Some(rendered?),
-            };
+            let all = (spent.paths / 3).min(left).max(least);
+            let ended = Self::recorded_and_rendered(problem, found, all, spent, &stretch(true));
+            match ended {
+                Err(_) if watch.cancelled() => {}
+                ended => (recorded, whole) = ended.map(|(r, pair)| (r, Some(pair)))?,
+            }
         }
         let (pair, paths) = match whole {
             Some(rendered) => rendered,
             None => {
                 found.stop = Stop::Cancelled;
-                render(found, spent.moment(), AFTER_INTERRUPT + CHECK_INDEX)?
+                let (index, paths) = (
+                    AFTER_INTERRUPT + CHECK_INDEX,
+                    spent.moment().min(left).max(least),
+                );
+                let stretch = stretch(false);
+                let pair = problem.render(&found.u, paths, &found.check_shares, index, &stretch)?;
+                (pair, paths)
             }
         };
         spent.add(paths, &pair);
@@ -73,9 +88,60 @@ impl FreshCheck {
             value: objective.paired(&pair),
             moved: newton_move(problem, found, &pair),
             pair,
+            recorded,
             paths,
         })
     }
+
+    /// With `paths` in all: a recording where the scene can make one, and the pair with its paths.
+    fn recorded_and_rendered(
+        problem: &Problem<'_>,
+        found: &Found,
+        paths: u64,
+        spent: &mut Spent,
+        watch: &dyn Watch,
+    ) -> Result<(Option<Recorded>, (RenderPair, u64))> {
+        let recorded = record(problem, found, paths / 4, spent, watch)?;
+        let paths = match &recorded {
+            Some(_) => paths - (paths / 4).min(MOST_RECORDED),
+            None => paths,
+        };
+        let pair = problem.render(&found.u, paths, &found.check_shares, CHECK_INDEX, watch)?;
+        Ok((recorded, (pair, paths)))
+    }
+}
+
+/// Records paths for profiles, two times half of `paths` or of the most.
+fn record(
+    problem: &Problem<'_>,
+    found: &Found,
+    paths: u64,
+    spent: &mut Spent,
+    watch: &dyn Watch,
+) -> Result<Option<Recorded>> {
+    let paths = paths.min(MOST_RECORDED);
+    let configurations = problem.objective.configurations();
+    // Profiles know of no gain.
+    if paths < 128 * configurations.len() as u64 || problem.space.gain().is_some() {
+        return Ok(None);
+    }
+    let request = Request {
+        configurations: &configurations,
+        parameters: &problem.space.to_parameters(&found.u),
+        effort: Effort::Total {
+            paths: paths / 2,
+            shares: found.check_shares.clone(),
+        },
+        seed: problem.options.seed,
+        stream: 0,
+    };
+    let recorded = Recorded::new(problem.scene, &request, RECORD_INDEX, watch)?;
+    if let Some(recorded) = &recorded {
+        spent.paths += paths;
+        spent.wall_s += recorded.wall_s;
+        spent.cpu_s += recorded.cpu_s;
+    }
+    Ok(recorded)
 }
 
 fn newton_move(problem: &Problem<'_>, found: &Found, pair: &RenderPair) -> (f64, f64) {
@@ -114,7 +180,7 @@ pub(super) fn summarize(
     found: &Found,
     check: &FreshCheck,
     spent: Spent,
-) -> FitResult {
+) -> Result<FitResult> {
     let Problem {
         scene,
         objective,
@@ -131,11 +197,13 @@ pub(super) fn summarize(
     let bounded = objective.bounded();
     let gram = jacobian.weighted_gram(bounded.weights().as_flattened(), jacobian);
     noise.add_scaled((0.01 * quality.misfit_percent).powi(2), &gram);
-    let samples = Samples::draw(space, &found.u, &found.model, &noise, options.seed);
-    let uncertainty = parameter_results(problem, start, found, &samples);
-
+    let density = Density::new(space, &found.u, &found.model, &noise);
+    let mut samples = Samples::around(space, &density.center, &density.precision, options.seed);
+    let residuals = Residuals::of(space, objective, found, &check.pair);
+    let methods = profile(problem, found, check, &density, &residuals, &mut samples)?;
+    let uncertainty = parameter_results(problem, start, found, &samples, &methods);
     let (converged, reason) = verdict(problem, found, check, &quality);
-    FitResult {
+    Ok(FitResult {
         format: FitResult::FORMAT.to_owned(),
         parameters: parameters.to_json(),
         model: scene.model().name().to_owned(),
@@ -145,6 +213,8 @@ pub(super) fn summarize(
         converged,
         reason,
         objective: quality,
+        goodness: residuals.goodness(),
+        patterns: patterns(&residuals, objective),
         not_determined: uncertainty
             .iter()
             .filter(|p| p.verdict == Verdict::NotDetermined)
@@ -195,7 +265,45 @@ pub(super) fn summarize(
         history: found.history.clone(),
         command: String::new(),
         truth: None,
+    })
+}
+
+/// Puts profiles in the place of quadratic distributions where those take much of the range or touch a bound, and says
+/// which method each place has.
+fn profile(
+    problem: &Problem<'_>,
+    found: &Found,
+    check: &FreshCheck,
+    density: &Density,
+    residuals: &Residuals,
+    samples: &mut Samples,
+) -> Result<Vec<IntervalMethod>> {
+    let space = problem.space;
+    let mut methods = vec![IntervalMethod::Quadratic; space.len()];
+    let Some(recorded) = &check.recorded else {
+        return Ok(methods);
+    };
+    let profiler = Profiler::new(
+        space,
+        recorded,
+        &found.model.weights,
+        &found.u,
+        &residuals.residual,
+        &density.force,
+    )?;
+    for (j, method) in methods.iter_mut().enumerate() {
+        let (low, high) = (space.lower()[j], space.upper()[j]);
+        let [from, to] = samples.interval(space, j, 0.95, found.u[j]);
+        let edge = 1e-3 * (high - low);
+        if to - from < WEAK * (high - low) && from > low + edge && to < high - edge {
+            continue;
+        }
+        if let Some(sorted) = profiler.quantiles(j, density.scales[j])? {
+            samples.replace(j, sorted);
+            *method = IntervalMethod::Profile;
+        }
     }
+    Ok(methods)
 }
 
 fn quality(problem: &Problem<'_>, found: &Found, check: &FreshCheck) -> ObjectiveResult {
@@ -315,6 +423,7 @@ fn parameter_results(
     start: &Parameters,
     found: &Found,
     samples: &Samples,
+    methods: &[IntervalMethod],
 ) -> Vec<ParameterResult> {
     let space = problem.space;
     let names = start.flat_names();
@@ -360,6 +469,10 @@ fn parameter_results(
                 standard_error: 0.5 * (value(u + half) - value(u - half)),
                 interval_68: interval(0.68).map(value),
                 interval_95: outer.map(value),
+                quantiles: ParameterResult::QUANTILE_LEVELS
+                    .map(|t| value(samples.quantile(j, t)))
+                    .to_vec(),
+                interval_method: methods[j],
                 range_share: share,
                 verdict,
                 sentence: String::new(),

@@ -8,12 +8,16 @@
 //! a scale error common to all measurements is not included.
 
 use super::linear::{Matrix, dot, eigen, inverse};
-use super::pool::LinearModel;
+use super::pool::{Direction, LinearModel};
 use super::space::SearchSpace;
 use crate::math::{Random, statistics::Running};
 
 /// Gibbs sweeps kept, and dropped before them.
 const SWEEPS: (usize, usize) = (20_000, 1_000);
+
+/// How far outside the box the density's center may lie, in its standard deviations: a model that is wrong pulls farther, and
+/// would make a bound look certain.
+const FARTHEST_OUTSIDE: f64 = 2.0;
 
 /// Points of the box, in search coordinates, distributed as the parameters' uncertainty.
 #[derive(Debug, Clone)]
@@ -30,23 +34,21 @@ pub(super) struct Samples {
 pub(super) type Interval = [f64; 2];
 
 impl Samples {
-    /// Samples for the fit that ended at `u`; `noise` is the covariance of the gradient of half the objective.
-    pub(super) fn draw(
-        space: &SearchSpace,
-        u: &[f64],
-        model: &LinearModel,
-        noise: &Matrix,
-        seed: u64,
-    ) -> Self {
-        Self::around(space, u, &precision(space, u, model, noise), seed)
+    /// Puts another distribution, by sorted equally likely coordinates, in the place of flat place `j`'s.
+    pub(super) fn replace(&mut self, j: usize, sorted: Vec<f64>) {
+        self.sorted[j] = sorted;
     }
 
-    /// Samples of the normal density of this precision around `u`, cut off at the bounds.
-    pub(super) fn around(space: &SearchSpace, u: &[f64], precision: &Matrix, seed: u64) -> Self {
-        let center = u;
+    /// Samples of the normal density of this precision around `center`, cut off at the bounds.
+    pub(super) fn around(
+        space: &SearchSpace,
+        center: &[f64],
+        precision: &Matrix,
+        seed: u64,
+    ) -> Self {
         let mut random = Random::keyed(&[seed, 0x0fff_17ce]);
         let p = space.len();
-        let mut x = space.clamped(u);
+        let mut x = space.clamped(center);
         let directions = directions(space, precision);
         let mut samples = vec![Vec::with_capacity(SWEEPS.0); p];
         for sweep in 0..SWEEPS.0 + SWEEPS.1 {
@@ -88,6 +90,11 @@ impl Samples {
             .into_iter()
             .min_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))
             .map_or([low, high], |[a, b]| [a.min(value), b.max(value)])
+    }
+
+    /// The coordinate below which the parameter lies with probability `t`.
+    pub(super) fn quantile(&self, j: usize, t: f64) -> f64 {
+        quantile(&self.sorted[j], t)
     }
 
     /// The 16 % to 84 % half width, in search coordinates.
@@ -163,26 +170,89 @@ fn quantile(sorted: &[f64], t: f64) -> f64 {
     sorted[below] + (position - below as f64) * (sorted[above] - sorted[below])
 }
 
-/// Precision matrix of the normal density around the fit, before the box cuts it. The Newton step that is left at the fit
-/// (a search ends before it is zero) is added to the errors as if it were one more of them.
-fn precision(space: &SearchSpace, u: &[f64], model: &LinearModel, noise: &Matrix) -> Matrix {
-    let p = u.len();
-    let seen = model.seen_directions();
-    let k = seen.len();
-    let mut gradient = model.gradient_at(u, &model.curvature);
-    for j in 0..p {
-        // At a bound a force toward the outside is the bound's, not a step left to make.
-        let outward = (u[j] <= space.lower()[j] && gradient[j] > 0.0)
-            || (u[j] >= space.upper()[j] && gradient[j] < 0.0);
-        if outward {
-            gradient[j] = 0.0;
+/// The normal density around a fit, before the box cuts it.
+///
+/// A search ends before its Newton step is zero: the center is where the step that is left leads, and the step is added to
+/// the errors as if it were one more of them. Where a bound holds the fit against a force, the center is where the fit would
+/// lie without the bound: the data say how far outside.
+pub(super) struct Density {
+    pub(super) precision: Matrix,
+    pub(super) center: Vec<f64>,
+    /// Gradient of half the objective at the fit, that against bounds shortened as the center's distance is.
+    pub(super) force: Vec<f64>,
+    /// Per flat place: variance that the curvature alone would give over the variance of the errors.
+    pub(super) scales: Vec<f64>,
+}
+
+impl Density {
+    /// The density of the fit that ended at `u`; `noise` is the covariance of the gradient of half the objective.
+    pub(super) fn new(space: &SearchSpace, u: &[f64], model: &LinearModel, noise: &Matrix) -> Self {
+        let p = u.len();
+        let seen = model.seen_directions();
+        let mut left = model.gradient_at(u, &model.curvature);
+        let mut force = vec![0.0; p];
+        for j in 0..p {
+            // At a bound a force toward the outside is the bound's, not a step left to make.
+            let outward = (u[j] <= space.lower()[j] && left[j] > 0.0)
+                || (u[j] >= space.upper()[j] && left[j] < 0.0);
+            if outward {
+                force[j] = std::mem::take(&mut left[j]);
+            }
         }
+        let covariance = covariance(&seen, &left, noise);
+        let mut density = Self {
+            precision: Matrix::zeros(p, p),
+            center: u.to_vec(),
+            scales: scales(&seen, &covariance, p),
+            force,
+        };
+        let Some(inner) = inverse(&covariance) else {
+            return density;
+        };
+        let mut steps = newton(&seen, &density.force);
+        let distance = inner.form(&steps, &steps).max(0.0).sqrt();
+        let shortened = (FARTHEST_OUTSIDE / distance.max(1e-300)).min(1.0);
+        density.force.iter_mut().for_each(|f| *f *= shortened);
+        steps.iter_mut().for_each(|s| *s *= shortened);
+        steps
+            .iter_mut()
+            .zip(newton(&seen, &left))
+            .for_each(|(s, l)| *s += l);
+        density
+            .force
+            .iter_mut()
+            .zip(&left)
+            .for_each(|(f, l)| *f += l);
+        for (a, of_a) in seen.iter().enumerate() {
+            for (b, of_b) in seen.iter().enumerate() {
+                for i in 0..p {
+                    for j in 0..p {
+                        density.precision[(i, j)] += inner[(a, b)] * of_a.form[i] * of_b.form[j];
+                    }
+                }
+            }
+            for (center, step) in density.center.iter_mut().zip(&of_a.step) {
+                *center -= steps[a] * step;
+            }
+        }
+        if let Some((place, sd)) = space.gain() {
+            density.precision[(place, place)] += 1.0 / (sd * sd);
+        }
+        density
     }
-    let left: Vec<f64> = seen
-        .iter()
-        .map(|d| dot(&d.step, &gradient) / d.curvature)
-        .collect();
-    let mut covariance = Matrix::zeros(k, k);
+}
+
+/// Lengths of the Newton step against `gradient` along each direction, with its sign changed.
+fn newton(seen: &[Direction], gradient: &[f64]) -> Vec<f64> {
+    seen.iter()
+        .map(|d| dot(&d.step, gradient) / d.curvature)
+        .collect()
+}
+
+/// Covariance of the lengths along the directions seen.
+fn covariance(seen: &[Direction], left: &[f64], noise: &Matrix) -> Matrix {
+    let left = newton(seen, left);
+    let mut covariance = Matrix::zeros(seen.len(), seen.len());
     for (a, of_a) in seen.iter().enumerate() {
         for (b, of_b) in seen.iter().enumerate() {
             covariance[(a, b)] = noise.form(&of_a.step, &of_b.step)
@@ -193,22 +263,17 @@ fn precision(space: &SearchSpace, u: &[f64], model: &LinearModel, noise: &Matrix
         let tiny = 1e-16 / dot(&of_a.step, &of_a.step).max(1e-300);
         covariance[(a, a)] = covariance[(a, a)] * (1.0 + 1e-9) + tiny;
     }
-    let mut precision = Matrix::zeros(p, p);
-    if let Some(inner) = inverse(&covariance) {
-        for (a, of_a) in seen.iter().enumerate() {
-            for (b, of_b) in seen.iter().enumerate() {
-                for i in 0..p {
-                    for j in 0..p {
-                        precision[(i, j)] += inner[(a, b)] * of_a.form[i] * of_b.form[j];
-                    }
-                }
-            }
-        }
-    }
-    if let Some((place, sd)) = space.gain() {
-        precision[(place, place)] += 1.0 / (sd * sd);
-    }
-    precision
+    covariance
+}
+
+fn scales(seen: &[Direction], covariance: &Matrix, p: usize) -> Vec<f64> {
+    (0..p)
+        .map(|j| {
+            let along: Vec<f64> = seen.iter().map(|d| d.step[j]).collect();
+            let squares = seen.iter().map(|d| d.step[j].powi(2) / d.curvature);
+            squares.sum::<f64>() / covariance.form(&along, &along).max(1e-300)
+        })
+        .collect()
 }
 
 fn deviation(samples: &[f64]) -> f64 {

@@ -143,6 +143,33 @@ pub trait Scene: Sync {
     /// When the parameters have no meaning for the model, the work is too little for a standard error, a path gave a
     /// number that is not finite, or `watch` cancels.
     fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates>;
+
+    /// The request's paths, recorded to be evaluated at other parameters; none where the scene cannot record.
+    ///
+    /// # Errors
+    /// As [`Scene::estimate`].
+    fn recall(&self, _request: &Request<'_>, _watch: &dyn Watch) -> Result<Option<RecordedPaths>> {
+        Ok(None)
+    }
+}
+
+/// Recorded paths, and what recording them took.
+pub struct RecordedPaths {
+    /// The paths.
+    pub paths: Box<dyn Recall>,
+    /// CPU time of all threads, seconds.
+    pub cpu_s: f64,
+    /// Elapsed time, seconds.
+    pub wall_s: f64,
+}
+
+/// Recorded paths: estimates at other parameters without tracing, always from the same random numbers.
+pub trait Recall: Send + Sync {
+    /// Means and derivatives at `parameters`, and whether to trust them.
+    ///
+    /// # Errors
+    /// When the parameters have no meaning for the model, or a number is not finite.
+    fn recall(&self, parameters: &Parameters) -> Result<Recalled>;
 }
 
 /// The weight of a configuration with channel means `mean` (Khungurn 2015 eq. 20): `1 / max(mean over channels, tau)^2`.

@@ -4,7 +4,7 @@ use super::geometry::Geometry;
 use super::guide::{Guide, StateMap};
 use super::light::{Lamp, LightShape};
 use super::path::Stage;
-use super::{Estimates, Request, Scene, basic, estimate};
+use super::{Estimates, RecordOptions, RecordedPaths, Request, Scene, basic, estimate};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::FiberTile;
 use crate::math::Random;
@@ -250,5 +250,22 @@ impl Scene for FiberScene {
             Integrator::Fast => estimate::estimate(self, request, watch),
             Integrator::Basic => basic::estimate(self, request, watch),
         }
+    }
+
+    fn recall(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Option<RecordedPaths>> {
+        if self.options.integrator != Integrator::Fast {
+            return Ok(None);
+        }
+        let clock = (std::time::Instant::now(), estimate::cpu_seconds());
+        let options = RecordOptions {
+            defensive: 0.0,
+            ..RecordOptions::default()
+        };
+        let recording = self.record(request, &options, watch)?;
+        Ok(Some(RecordedPaths {
+            paths: Box::new(recording),
+            cpu_s: estimate::cpu_seconds() - clock.1,
+            wall_s: clock.0.elapsed().as_secs_f64(),
+        }))
     }
 }

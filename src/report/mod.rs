@@ -14,6 +14,7 @@ mod page;
 mod png_file;
 mod prediction;
 pub mod preview;
+mod residual_map;
 mod svg;
 pub mod swatch;
 

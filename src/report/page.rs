@@ -2,6 +2,7 @@
 
 use super::charts;
 use super::html::{base64, escape, number};
+use super::residual_map::{self, tint};
 use crate::base::{Context, Error, Result};
 use crate::fit::{FitResult, Verdict};
 
@@ -176,6 +177,7 @@ pub fn page(result: &FitResult, provenance: &Provenance) -> String {
          Hollow: a step taken back. Dashed: Monte Carlo part of the error. Black: the final check.",
     );
     body += "</div>\n";
+    body += &wide("Where the residuals lie", &residual_map::section(result));
     body += &wide("Parameters", &parameter_table(result));
     body += &wide("Configurations", &configuration_table(result));
     body += &wide("Correlations", &correlation_table(result));
@@ -183,7 +185,7 @@ pub fn page(result: &FitResult, provenance: &Provenance) -> String {
         body += &extra(section);
     }
     body += &wide("How this was made", &facts(result, provenance));
-    document(&title, STYLE, &body)
+    document(&title, &format!("{STYLE}{}", residual_map::STYLE), &body)
 }
 
 /// A whole file around the body's markup.
@@ -285,7 +287,7 @@ fn parameter_table(result: &FitResult) -> String {
     if truth.is_some() {
         html += "<th>truth</th>";
     }
-    html += "<th class=\"left\">verdict</th></tr>\n";
+    html += "<th class=\"left\">verdict</th><th class=\"left\">interval by</th></tr>\n";
     for (i, p) in result.uncertainty.iter().enumerate() {
         let unit = if p.unit == "1" { "" } else { "°" };
         let range = |r: [f64; 2]| format!("{} – {}{unit}", number(r[0], 3), number(r[1], 3));
@@ -305,24 +307,15 @@ fn parameter_table(result: &FitResult) -> String {
                 .map_or("-".to_owned(), |v| number(*v, 4));
             html += &format!("<td>{value}{unit}</td>");
         }
-        html += &format!("<td class=\"left\">{}</td></tr>\n", p.verdict.words());
+        html += &format!(
+            "<td class=\"left\">{}</td><td class=\"left\">{}</td></tr>\n",
+            p.verdict.words(),
+            p.interval_method.word()
+        );
     }
     html + "</table></div>\n<p class=\"soft\">Intervals stay inside the bounds. A parameter is called determined when its 95 % \
             interval takes at most a fifth of the range (logarithmic for angles, stretched at both ends for colors), not \
             determined when it takes more than half.</p>\n"
-}
-
-/// A background that grows with |value| up to 1: blue below, orange above.
-fn tint(value: f64) -> String {
-    let color = if value < 0.0 {
-        "70,130,220"
-    } else {
-        "225,125,40"
-    };
-    format!(
-        "background:rgba({color},{:.2})",
-        value.abs().min(1.0) * 0.65
-    )
 }
 
 fn configuration_table(result: &FitResult) -> String {

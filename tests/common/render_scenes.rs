@@ -35,6 +35,8 @@ pub(crate) fn parameters(flat_deg: [f64; 9]) -> Parameters {
 pub(crate) const GABARDINE: [f64; 9] = [
     0.185, 0.047, 0.069, 0.999, 0.330, 0.354, 2.141, 10.0, 23.548,
 ];
+/// Silk's (the same table): the narrowest reflection lobe it has.
+pub(crate) const SILK: [f64; 9] = [0.745, 0.008, 0.070, 0.620, 0.553, 0.562, 1.0, 10.0, 19.823];
 /// Wide lobes and bright colors: quiet estimates of many bounces.
 pub(crate) const SOFT: [f64; 9] = [0.1, 0.3, 0.05, 0.85, 0.6, 0.9, 8.0, 25.0, 30.0];
 

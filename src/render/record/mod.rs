@@ -18,7 +18,7 @@ pub use trust::{ConfigurationTrust, TRUST_THRESHOLD, Trust};
 use super::allocation::{Group, groups};
 use super::estimate::{self, cpu_seconds};
 use super::scene::{FiberScene, Integrator};
-use super::{Estimates, Request};
+use super::{Estimates, Recall, Request};
 use crate::base::{Error, Result, Watch};
 use crate::scatter::{BatchEvaluate, CHANNELS, Defensive, Model, OneByOne, Parameters, Scattering};
 use rayon::prelude::*;
@@ -317,6 +317,12 @@ impl Recording {
         };
         let batches = self.batches.par_iter_mut();
         batches.for_each_init(Replay::default, weigh);
+    }
+}
+
+impl Recall for Recording {
+    fn recall(&self, parameters: &Parameters) -> Result<Recalled> {
+        self.estimate(parameters)
     }
 }
 
