@@ -8,7 +8,7 @@
 //! seed. Its *true residual* is `sqrt(max(0, paired estimate) / 48)` of a fresh render pair at the fitted parameters against the
 //! reference, with a standard error. Between, the residual at every iterate is read from paths recorded at the truth, the same
 //! for the iterate and the truth, so that their noise cancels; where these paths may not be trusted a small fresh pair says it
-//! to a few percent. Seconds count rendering of the search and, in `total`, of the final check too.
+//! to a few percent, and the residual plus one standard error counts. The last iterate's is the true residual. Seconds count rendering of the search and, in `total`, of the final check too.
 //!
 //! Rows are kept in `benches/runs/DATE_fit_speed.jsonl` as they come, those of `--quick` excepted. `--chart` draws them to
 //! `docs/charts/fit_speed.svg`; with `--from FILE` it draws kept rows and runs nothing.
@@ -344,7 +344,9 @@ impl<'a> Judge<'a> {
     fn residual(&self, parameters: &Parameters) -> f64 {
         let recalled = self.recording.means(parameters).unwrap();
         if !recalled.trust.holds(TRUST_THRESHOLD) {
-            return self.fresh_residual(parameters, &Effort::Paths(8192), 500).0;
+            // No less than what this pair can tell from zero.
+            let (rms, se) = self.fresh_residual(parameters, &Effort::Paths(16_384), 500);
+            return rms + se;
         }
         let rows = (recalled.estimates.configurations.iter())
             .zip(&self.at_truth)
@@ -369,7 +371,10 @@ impl<'a> Judge<'a> {
         let model = scatter::model(&result.model).unwrap();
         let found = Parameters::from_json(model, &result.parameters).unwrap();
         let (residual, se) = self.fresh_residual(&found, &Effort::Accuracy(JUDGE), 1000 + seed);
-        let curve = self.curve(&result, &found);
+        let mut curve = self.curve(&result, &found);
+        if let Some(end) = curve.last_mut() {
+            end.2 = residual;
+        }
         let [color_error, width_error] = self.errors(&found);
         let row = |target: f64| {
             // For good: no later iterate is worse than the target.

@@ -7,7 +7,7 @@ mod toy;
 use assert_cmd::cargo::cargo_bin;
 use goniofit::base::{Error, Result, Unwatched, Watch};
 use goniofit::fit::{
-    Budget, FitResult, Journal, JournalHeader, Method, Options, fit, fit_with_journal,
+    Budget, FitResult, Journal, JournalHeader, Loss, Method, Options, fit, fit_with_journal,
 };
 use goniofit::render::{Estimates, Request, Scene};
 use goniofit::scatter::Model;
@@ -138,8 +138,14 @@ fn text(result: &FitResult) -> String {
 #[test]
 fn cut_after_any_line_a_fit_goes_on_to_the_same_result() {
     // Sees a change of the last bit of any number of fit.json.
-    for method in Method::ALL {
-        let trial = Trial::new(method);
+    let mut trials: Vec<Trial> = Method::ALL.into_iter().map(Trial::new).collect();
+    // Three stages with random numbers of their own, and a coordinate that is no parameter.
+    let mut staged = Trial::new(Method::GaussNewton);
+    staged.options.loss = Loss::Huber(2.0);
+    staged.options.gain_prior = Some(0.05);
+    trials.push(staged);
+    for trial in trials {
+        let method = (trial.options.method, trial.options.loss);
         let scene = Counted::new(ALWAYS);
         let whole = trial.fit(&scene, &trial.options, &trial.begin()).unwrap();
         let plain = fit(&scene, &trial.measurements, &trial.options, &Unwatched).unwrap();

@@ -160,7 +160,8 @@ pub struct Compared {
 pub struct Comparison {
     /// One row per pose.
     pub rows: Vec<Compared>,
-    /// Weighted rms residual, percent (unbiased below the root), and its standard error.
+    /// Weighted rms residual, percent, and its standard error. Below the root unbiased where the renders compared are
+    /// independent of each other and of the prediction; not with `Refit::Linear`, whose step shares their noise.
     pub weighted_rms_percent: [f64; 2],
     /// Root mean square of all z: 1 when the stated errors are right.
     pub rms_z: f64,

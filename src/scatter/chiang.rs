@@ -22,6 +22,7 @@
 //! (2 (1 + cos theta_i)(1 + cos theta_o))`, so M_p is one exponential times `exp(-x) I_0(x)` and neither overflows nor cancels; 1 - F has
 //! its own formula and `1 - T F = (1 - T) + T (1 - F)`, so that grazing views and clear fibers lose no digits.
 
+use super::direction::{FiberAngles, ON_AXIS};
 use super::piecewise::Piecewise;
 use super::{
     CHANNELS, Evaluation, Kept, MAX_ROWS, Model, Outgoing, ParameterInfo, Parameters, Passage,
@@ -94,9 +95,6 @@ impl Model for Chiang {
 /// R, TT, TRT and the rest.
 const LOBES: usize = 4;
 
-/// Below this `cos theta` a direction lies on the fiber's axis.
-const ON_AXIS: f64 = 1e-100;
-
 /// The BSDF of Chiang 2016 at fixed parameters.
 #[derive(Debug, Clone)]
 pub struct ChiangScattering {
@@ -140,7 +138,7 @@ impl ChiangScattering {
 
     /// `M_p N_p` and its logarithmic derivatives; an optimizer drops the latter where they are not used.
     #[inline(always)]
-    fn lobes(&self, i: &Direction, o: &CameraSide) -> [Lobe; LOBES] {
+    fn lobes(&self, i: &FiberAngles, o: &CameraSide) -> [Lobe; LOBES] {
         let w = &o.direction;
         let phi = (w.az_y * i.az_z - w.az_z * i.az_y).atan2(w.az_y * i.az_y + w.az_z * i.az_z);
         let m = self.longitudinal.at(i, w);
@@ -162,7 +160,7 @@ impl ChiangScattering {
         })
     }
 
-    fn evaluate_directions(&self, i: &Direction, o: &CameraSide) -> Evaluation {
+    fn evaluate_directions(&self, i: &FiberAngles, o: &CameraSide) -> Evaluation {
         let lobes = self.lobes(i, o);
         let (sums, _) = Self::sums(o, &lobes);
         let inverse_cos = 1.0 / i.cos_theta;
@@ -198,7 +196,7 @@ impl ChiangScattering {
 impl Scattering for ChiangScattering {
     fn evaluate(&self, wi: DVec3, wo: DVec3, h: f64) -> Evaluation {
         let o = CameraSide::new(wo, h, &self.absorption, [1.0; CHANNELS]);
-        self.evaluate_directions(&Direction::new(wi), &o)
+        self.evaluate_directions(&FiberAngles::new(wi), &o)
     }
 
     fn outgoing(&self, wo: DVec3, h: f64, carried: [f64; CHANNELS]) -> Outgoing {
@@ -209,7 +207,7 @@ impl Scattering for ChiangScattering {
     }
 
     fn importance(&self, wi: DVec3, o: &Outgoing) -> ([f64; CHANNELS], f64) {
-        let i = Direction::new(wi);
+        let i = FiberAngles::new(wi);
         let (sums, pdf) = self.with_side(o, |o| Self::sums(o, &self.lobes(&i, o)));
         let inverse_cos = 1.0 / i.cos_theta;
         (sums.map(|s| s * inverse_cos), pdf)
@@ -257,12 +255,7 @@ impl ChiangScattering {
         let (sin, cos) = phi.sin_cos();
         let w = &o.direction;
         let (az_y, az_z) = (w.az_y * cos - w.az_z * sin, w.az_z * cos + w.az_y * sin);
-        let i = Direction {
-            sin_theta,
-            cos_theta,
-            az_y,
-            az_z,
-        };
+        let i = FiberAngles::of_parts(sin_theta, cos_theta, az_y, az_z);
         let (sums, pdf) = Self::sums(o, &self.lobes(&i, o));
         Sampled {
             wi: DVec3::new(sin_theta, cos_theta * az_y, cos_theta * az_z),
@@ -287,40 +280,10 @@ struct Factor {
     by_beta: f64,
 }
 
-/// A direction in the fiber frame as the formulas need it.
-#[derive(Debug, Clone, Copy)]
-struct Direction {
-    sin_theta: f64,
-    cos_theta: f64,
-    /// Unit azimuth vector.
-    az_y: f64,
-    az_z: f64,
-}
-
-impl Direction {
-    fn new(w: DVec3) -> Self {
-        let cos_theta = (w.y * w.y + w.z * w.z).sqrt();
-        if cos_theta < ON_AXIS {
-            return Self {
-                sin_theta: w.x,
-                cos_theta: ON_AXIS,
-                az_y: 1.0,
-                az_z: 0.0,
-            };
-        }
-        Self {
-            sin_theta: w.x,
-            cos_theta,
-            az_y: w.y / cos_theta,
-            az_z: w.z / cos_theta,
-        }
-    }
-}
-
 /// What the direction toward the camera and the place where it meets the fiber decide.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CameraSide {
-    direction: Direction,
+    direction: FiberAngles,
     gamma_o: f64,
     gamma_t: f64,
     /// A_p.
@@ -339,7 +302,7 @@ impl CameraSide {
         absorption: &[Absorption; CHANNELS],
         carried: [f64; CHANNELS],
     ) -> Self {
-        let direction = Direction::new(wo);
+        let direction = FiberAngles::new(wo);
         let (sin2, cos_o) = (
             direction.sin_theta * direction.sin_theta,
             direction.cos_theta,
@@ -466,7 +429,7 @@ impl Longitudinal {
     }
 
     #[inline(always)]
-    fn at(&self, i: &Direction, o: &Direction) -> [Factor; 3] {
+    fn at(&self, i: &FiberAngles, o: &FiberAngles) -> [Factor; 3] {
         let (plus_i, plus_o) = (1.0 + i.cos_theta, 1.0 + o.cos_theta);
         let across = i.sin_theta * plus_o + o.sin_theta * plus_i;
         // 1 - cos(theta_i + theta_o).
@@ -488,7 +451,7 @@ impl Longitudinal {
 
     /// Sine and cosine of theta_i by lobe `p`: M_p is the longitudinal part of a von Mises-Fisher lobe on the sphere about the
     /// mirrored direction.
-    fn sample(&self, p: usize, o: &Direction, random: &mut Random) -> (f64, f64) {
+    fn sample(&self, p: usize, o: &FiberAngles, random: &mut Random) -> (f64, f64) {
         let v = self.variance[p.min(2)];
         // 1 - cos of the angle from the mirrored direction.
         let deficit = -v * (random.uniform_open() * (-2.0 / v).exp_m1()).ln_1p();

@@ -23,6 +23,64 @@ pub fn longitudinal_angle(w: DVec3) -> f64 {
     w.x.atan2(w.y.hypot(w.z))
 }
 
+/// Below this `cos theta` a direction lies on the fiber's axis.
+pub(super) const ON_AXIS: f64 = 1e-100;
+
+/// A direction in the fiber frame as the formulas need it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FiberAngles {
+    pub(super) sin_theta: f64,
+    pub(super) cos_theta: f64,
+    /// `tan(theta/2)`, in [-1, 1].
+    pub(super) t: f64,
+    /// Unit azimuth vector.
+    pub(super) az_y: f64,
+    pub(super) az_z: f64,
+}
+
+impl FiberAngles {
+    #[inline]
+    pub(super) fn new(w: DVec3) -> Self {
+        let cos_theta = (w.y * w.y + w.z * w.z).sqrt();
+        if cos_theta < ON_AXIS {
+            return Self {
+                sin_theta: w.x,
+                cos_theta: ON_AXIS,
+                t: w.x,
+                az_y: 1.0,
+                az_z: 0.0,
+            };
+        }
+        let inverse = 1.0 / cos_theta;
+        Self {
+            sin_theta: w.x,
+            cos_theta,
+            t: w.x / (1.0 + cos_theta),
+            az_y: w.y * inverse,
+            az_z: w.z * inverse,
+        }
+    }
+
+    /// The direction of these sines, cosines and unit azimuth vector.
+    #[inline]
+    pub(super) fn of_parts(sin_theta: f64, cos_theta: f64, az_y: f64, az_z: f64) -> Self {
+        Self {
+            sin_theta,
+            cos_theta,
+            t: sin_theta / (1.0 + cos_theta),
+            az_y,
+            az_z,
+        }
+    }
+
+    /// `(1 - cos theta)^5`.
+    #[inline]
+    pub(super) fn schlick(&self) -> f64 {
+        let w = self.sin_theta * self.t;
+        (w * w) * (w * w) * w
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
