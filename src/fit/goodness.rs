@@ -16,6 +16,9 @@ use crate::math::special::normal_probability;
 use crate::scatter::CHANNELS;
 use glam::DVec3;
 
+/// Residuals whose goodness is below this probability are called unexplained, in its sentence and in the fit's reason.
+pub(super) const SURPRISE: f64 = 1e-3;
+
 /// Residuals of the final check, and how far they may be from zero when the model is right.
 pub(super) struct Residuals {
     /// Rendered minus measured; zero where nothing was measured.
@@ -265,7 +268,7 @@ fn sentence(probability: f64) -> String {
         format!("{:.0} of 100", 100.0 * p)
     };
     let remark = match probability {
-        p if p < 1e-3 => ": more than the stated errors and the noise of the renders explain",
+        p if p < SURPRISE => ": more than the stated errors and the noise of the renders explain",
         p if p > 0.999 => ": the stated errors are too large",
         _ => "",
     };

@@ -1,14 +1,14 @@
 //! From where the search ended to a [`FitResult`]: a fresh pair judges, verdicts are put into words.
 
 use super::gain;
-use super::goodness::Residuals;
+use super::goodness::{Residuals, SURPRISE};
 use super::linear::{box_quadratic, inverse};
 use super::objective::{PairedValue, RenderPair, relative_weight, rms_of};
 use super::patterns::patterns;
 use super::pool::Pool;
 use super::profile::{Profiler, Recorded};
 use super::result::{
-    ConfigurationResult, Correlation, Cost, FitResult, IntervalMethod, ObjectiveResult,
+    ConfigurationResult, Correlation, Cost, FitResult, Goodness, IntervalMethod, ObjectiveResult,
     ParameterResult, Verdict,
 };
 use super::search::{AFTER_INTERRUPT, Found, Problem, Spent, Stop, Stretch};
@@ -28,6 +28,8 @@ const STILL: f64 = 0.002;
 /// Shares of the range at which a parameter is weakly, and not, determined.
 const WEAK: f64 = 0.2;
 const NOT: f64 = 0.5;
+/// Fewer numbers than this for each parameter leave room for other minima as good.
+const FEW: usize = 2;
 
 /// A pair at the fitted parameters that the search has never seen.
 pub(super) struct FreshCheck {
@@ -202,7 +204,11 @@ pub(super) fn summarize(
     let residuals = Residuals::of(space, objective, found, &check.pair);
     let methods = profile(problem, found, check, &density, &residuals, &mut samples)?;
     let uncertainty = parameter_results(problem, start, found, &samples, &methods);
-    let (converged, reason) = verdict(problem, found, check, &quality);
+    let goodness = residuals.goodness();
+    let (converged, mut reason) = verdict(problem, found, check, &quality);
+    if converged {
+        reason += &doubts(problem, start, goodness.as_ref());
+    }
     Ok(FitResult {
         format: FitResult::FORMAT.to_owned(),
         parameters: parameters.to_json(),
@@ -213,7 +219,7 @@ pub(super) fn summarize(
         converged,
         reason,
         objective: quality,
-        goodness: residuals.goodness(),
+        goodness,
         patterns: patterns(&residuals, objective),
         not_determined: uncertainty
             .iter()
@@ -416,6 +422,26 @@ fn verdict(
         true,
         format!("{ended}; the parameters are at rest (Monte Carlo part of the error {noise})"),
     )
+}
+
+/// What a fit that came to rest has against itself; empty when nothing.
+fn doubts(problem: &Problem<'_>, start: &Parameters, goodness: Option<&Goodness>) -> String {
+    let mut doubts = String::new();
+    if goodness.is_some_and(|g| g.probability < SURPRISE) {
+        doubts += "; but residuals are larger than the stated errors and the noise of the renders explain: model, fabric, \
+                   measurements or their errors are wrong somewhere, and parameters may be off by more than their intervals";
+    }
+    let seen = |&(row, channel): &(usize, usize)| {
+        !start.infos()[row].per_channel || problem.objective.sees(channel)
+    };
+    let n_seen = start.places().iter().filter(|p| seen(p)).count();
+    let n = problem.objective.n_numbers();
+    if n < FEW * n_seen {
+        doubts += &format!(
+            "; but {n} numbers are few for {n_seen} parameters: others may fit as well, and the intervals know only of those found"
+        );
+    }
+    doubts
 }
 
 fn parameter_results(
