@@ -9,12 +9,12 @@ use crate::session::Configuration;
 const MOST_ROWS: usize = 48;
 
 pub(super) const STYLE: &str = "\
-.heat{table-layout:fixed;border-collapse:separate;border-spacing:2px;max-width:640px}
+.heat{table-layout:fixed;border-collapse:separate;border-spacing:2px;max-width:720px}
 .heat td,.heat th{border:0;padding:.3em .2em;text-align:center;font-size:.95rem;font-variant-numeric:tabular-nums}
-.heat th:first-child{text-align:left;width:38%;font-weight:400;font-size:.8rem;white-space:normal}
+.heat th:first-child{text-align:left;width:44%;font-weight:400;font-size:.8rem;white-space:normal}
 .heat td{border-radius:4px}
 .heat .sure{font-weight:700;text-decoration:underline}
-.ramp{display:flex;max-width:640px;font-size:.8rem;color:var(--soft);justify-content:space-between;margin:.2em 0 .6em}
+.ramp{display:flex;max-width:720px;font-size:.8rem;color:var(--soft);justify-content:space-between;margin:.2em 0 .6em}
 .ramp span{padding:.15em .6em;border-radius:4px;color:var(--ink)}
 ";
 
