@@ -16,6 +16,8 @@ use crate::scatter::CHANNELS;
 
 /// Least relative error of the data.
 const LEAST_ERROR: f64 = 1e-4;
+/// A gain this many prior standard deviations from 1 is no scale error.
+const FAR: f64 = 3.0;
 
 /// The prior as a datum of half the objective.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,6 +70,14 @@ pub(super) fn result(space: &SearchSpace, u: &[f64], samples: &Samples) -> Optio
     };
     let interval_95 = interval(0.95);
     let [low, high] = interval_95.map(three_digits);
+    let off = u[place].abs() / prior_sd;
+    let doubt = if off > FAR {
+        format!(
+            "; it is {off:.1} prior standard deviations from 1 and takes up what is not a scale error"
+        )
+    } else {
+        String::new()
+    };
     Some(GainResult {
         value,
         prior_sd,
@@ -76,7 +86,7 @@ pub(super) fn result(space: &SearchSpace, u: &[f64], samples: &Samples) -> Optio
         interval_95,
         sentence: format!(
             "all measurements are {} times what the renders show ({low}-{high} at 95 %; prior 1 +- {:.1} %): a gain of the \
-             session, not a parameter of the model",
+             session, not a parameter of the model{doubt}",
             three_digits(value),
             100.0 * prior_sd
         ),

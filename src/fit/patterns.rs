@@ -22,7 +22,7 @@ const NAMES: [&str; CHANNELS] = ["red", "green", "blue"];
 /// Numbers that are looked at together.
 struct Group {
     name: String,
-    /// As the subject of a sentence, after "the".
+    /// Subject and verb of a sentence.
     subject: String,
     numbers: Vec<usize>,
 }
@@ -55,7 +55,7 @@ pub(super) fn patterns(residuals: &Residuals, objective: &Objective) -> Vec<Patt
         let sign = if mean < 0.0 { "under" } else { "over" };
         Pattern {
             sentence: format!(
-                "the {} are {sign}-predicted by {} +- {} %",
+                "{} {sign}-predicted by {} +- {} %",
                 group.subject,
                 digits(100.0 * mean.abs(), 100.0 * se),
                 digits(100.0 * se, 100.0 * se)
@@ -137,7 +137,7 @@ fn groups(configurations: &[Configuration]) -> Vec<Group> {
     for (c, name) in NAMES.iter().enumerate() {
         groups.push(Group {
             name: (*name).to_owned(),
-            subject: format!("{name} intensities"),
+            subject: format!("the {name} intensities are"),
             numbers: (0..configurations.len())
                 .map(|i| CHANNELS * i + c)
                 .collect(),
@@ -156,14 +156,14 @@ fn of(
         .filter(|(_, c)| belongs(c))
         .map(|(i, _)| i)
         .collect();
-    let noun = if members.len() == 1 {
-        "configuration"
-    } else {
-        "configurations"
+    let subject = match members.len() {
+        1 => format!("the one configuration{words} is"),
+        n if words.is_empty() => format!("all {n} configurations are"),
+        n => format!("the {n} configurations{words} are"),
     };
     Group {
         name: name.to_owned(),
-        subject: format!("{} {noun}{words}", members.len()),
+        subject,
         numbers: members
             .iter()
             .flat_map(|i| (0..CHANNELS).map(move |c| CHANNELS * i + c))

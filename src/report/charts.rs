@@ -227,14 +227,20 @@ pub(super) fn parameters(result: &FitResult) -> String {
     let row = 30.0;
     let height = 24.0 + row * result.uncertainty.len() as f64;
     let mut d = Drawing::new(WIDTH, height, "Parameters between their bounds");
+    let longest = result.uncertainty.iter().map(|p| p.name.len()).max();
+    let names = 70.0_f64.max(LETTER * longest.unwrap_or(0) as f64);
     for (i, p) in result.uncertainty.iter().enumerate() {
         let truth = result.truth.as_ref().and_then(|t| t.values.get(i).copied());
-        parameter(&mut d, p, truth, 20.0 + row * i as f64);
+        parameter(&mut d, p, truth, [names, 20.0 + row * i as f64]);
     }
     d.finish()
 }
 
-fn parameter(d: &mut Drawing, p: &ParameterResult, truth: Option<f64>, y: f64) {
+/// Width of a letter of a name.
+const LETTER: f64 = 7.2;
+
+/// One row at height y; the name ends at `names`.
+fn parameter(d: &mut Drawing, p: &ParameterResult, truth: Option<f64>, [names, y]: [f64; 2]) {
     let wide = p.lower_bound > 0.0 && p.unit != "1";
     let scale = if wide {
         Scale::Logarithmic
@@ -245,12 +251,18 @@ fn parameter(d: &mut Drawing, p: &ParameterResult, truth: Option<f64>, y: f64) {
         scale,
         low: p.lower_bound,
         high: p.upper_bound,
-        from: 114.0,
+        from: names + 44.0,
         to: WIDTH - 104.0,
     };
     let unit = if p.unit == "1" { "" } else { "°" };
-    d.text("label", 70.0, y + 4.0, "end", &p.name);
-    d.text("tick", 108.0, y + 3.5, "end", &trimmed(p.lower_bound));
+    d.text("label", names, y + 4.0, "end", &p.name);
+    d.text(
+        "tick",
+        names + 38.0,
+        y + 3.5,
+        "end",
+        &trimmed(p.lower_bound),
+    );
     d.text(
         "tick",
         x.to + 5.0,

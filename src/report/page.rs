@@ -262,7 +262,7 @@ fn headline(result: &FitResult) -> String {
         result.outliers_in_words(),
     ];
     for aside in asides.into_iter().flatten() {
-        html += &format!("<p>{}.</p>\n", escape(&aside));
+        html += &format!("<p>{}.</p>\n", escape(&residual_map::sentence(&aside)));
     }
     let doubtful: Vec<String> = result
         .uncertainty

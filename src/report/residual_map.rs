@@ -3,17 +3,18 @@
 use super::charts::{CHANNELS, residual_percent};
 use super::html::{escape, number};
 use crate::fit::{ConfigurationResult, FitResult};
+use crate::session::Configuration;
 
 /// More configurations than these are not all shown, only those with the largest residuals.
 const MOST_ROWS: usize = 48;
 
 pub(super) const STYLE: &str = "\
-.heat{table-layout:fixed;border-collapse:separate;border-spacing:2px;max-width:640px}
+.heat{table-layout:fixed;border-collapse:separate;border-spacing:2px;max-width:720px}
 .heat td,.heat th{border:0;padding:.3em .2em;text-align:center;font-size:.95rem;font-variant-numeric:tabular-nums}
-.heat th:first-child{text-align:left;width:38%;font-weight:400;font-size:.8rem;white-space:normal}
+.heat th:first-child{text-align:left;width:44%;font-weight:400;font-size:.8rem;white-space:normal}
 .heat td{border-radius:4px}
 .heat .sure{font-weight:700;text-decoration:underline}
-.ramp{display:flex;max-width:640px;font-size:.8rem;color:var(--soft);justify-content:space-between;margin:.2em 0 .6em}
+.ramp{display:flex;max-width:720px;font-size:.8rem;color:var(--soft);justify-content:space-between;margin:.2em 0 .6em}
 .ramp span{padding:.15em .6em;border-radius:4px;color:var(--ink)}
 ";
 
@@ -37,7 +38,7 @@ pub(super) fn section(result: &FitResult) -> String {
         html += &format!(
             "<p>{}.</p>\n<p class=\"soft\">Sum of squared residuals over their error variances: {}, where a right model gives {} on \
              average; {} degrees of freedom (estimated from what the fit absorbs).</p>\n",
-            escape(&capital(&goodness.sentence)),
+            escape(&sentence(&goodness.sentence)),
             number(goodness.statistic, 3),
             number(goodness.expected, 3),
             number(goodness.degrees_of_freedom, 2)
@@ -47,7 +48,7 @@ pub(super) fn section(result: &FitResult) -> String {
         .patterns
         .iter()
         .filter(|p| p.significant)
-        .map(|p| format!("<li>{}.</li>\n", escape(&capital(&p.sentence))))
+        .map(|p| format!("<li>{}.</li>\n", escape(&sentence(&p.sentence))))
         .collect();
     if !significant.is_empty() {
         html += &format!("<ul>\n{}</ul>\n", significant.concat());
@@ -73,7 +74,8 @@ fn map(result: &FitResult) -> String {
     let percent = number(100.0 * reach, 2);
     let mut html = format!(
         "<p class=\"soft\">{note}Rendered minus measured, percent of the configuration's brightness. Underlined: more than three \
-         standard errors.</p>\n<div class=\"ramp\"><span style=\"{}\">−{percent} %: rendered too dark</span>\
+         standard errors. Apart: the angle between the azimuths of lamp and camera; 180° is the mirror side, 0° the lamp's \
+         own.</p>\n<div class=\"ramp\"><span style=\"{}\">−{percent} %: rendered too dark</span>\
          <span style=\"{}\">+{percent} %: too bright</span></div>\n<table class=\"heat\">\n<tr><th>configuration</th>",
         tint(-1.0),
         tint(1.0)
@@ -85,10 +87,11 @@ fn map(result: &FitResult) -> String {
     for c in shown {
         let pose = &c.configuration;
         html += &format!(
-            "<tr><th>{}: lamp {:.0}°, camera {:.0}°, turn {:.0}°</th>",
+            "<tr><th>{}: lamp {:.0}°, camera {:.0}°, {:.0}° apart, turn {:.0}°</th>",
             pose.id,
             pose.light.theta.to_degrees(),
             pose.camera.theta.to_degrees(),
+            apart_deg(pose),
             pose.rotation.to_degrees()
         );
         for k in 0..3 {
@@ -112,6 +115,13 @@ fn map(result: &FitResult) -> String {
         html += "</tr>\n";
     }
     html + "</table>\n"
+}
+
+/// The angle between the azimuths of lamp and camera, 0 to 180 degrees.
+fn apart_deg(pose: &Configuration) -> f64 {
+    let turn = (pose.light.phi - pose.camera.phi).to_degrees();
+    let turn = turn.rem_euclid(360.0);
+    turn.min(360.0 - turn)
 }
 
 fn patterns(result: &FitResult) -> String {
@@ -155,7 +165,9 @@ fn signed(x: f64) -> String {
     text.replace('-', "−")
 }
 
-fn capital(text: &str) -> String {
+/// A sentence of `fit.json` as the page writes it.
+pub(super) fn sentence(text: &str) -> String {
+    let text = text.replace("+-", "±");
     let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| {
         first.to_uppercase().collect::<String>() + letters.as_str()
