@@ -134,8 +134,10 @@ fn stated_intervals_hold_the_truth_of_a_soft_cloth() {
 /// 300 runs at 2 % over Khungurn's 16 configurations of the bench twill with Silk's fibers, under the real light.
 /// `RENDER_COVERAGE_RUNS` and `RENDER_COVERAGE_ACCURACY` choose other numbers for partial checks; the limits follow. Sees, for one
 /// number, intervals that hold 86 instead of 95 %.
+///
+/// As measured: 94.2 % of all intervals hold, 89.0 to 97.0 % of each number's.
 #[test]
-#[ignore = "slow: 130 min"]
+#[ignore = "slow: 22 min on two idle cores"]
 fn stated_intervals_hold_the_truth() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fabrics/bench_twill22.toml");
     let fabric = goniofit::fabric::load(&path).unwrap();

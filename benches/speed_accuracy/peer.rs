@@ -26,6 +26,7 @@ pub(super) fn rows(quick: bool) -> Vec<Row> {
         command.arg(root().join("fabrics/bench_twill22.toml"));
         command.arg("--plan");
         command.arg(root().join("rig_configs/plans/khungurn16.toml"));
+        command.args(["--seconds", "6"]);
     }
     match command.output() {
         Err(error) => {

@@ -5,8 +5,7 @@
 //! Huber (1964) is that of weights `q_i = min(1, K / z_i)`, `z_i = sqrt(v_i) / s`. A fit has three stages; the weights of one
 //! come from a fresh pair at the end of the one before and stay as they are, so no pair is weighted by its own noise. That
 //! pair's linear model is minimized with weights and scale renewed until they settle (iteratively reweighted least squares):
-//! the first stage's result leans toward the outliers, its weights do not. They begin from the residuals without the one
-//! configuration whose absence lets the others (but the worst quarter) agree best. v_i is the product of two renders' residuals, less
+//! the first stage's result leans toward the outliers, its weights do not. v_i is the product of two renders' residuals, less
 //! two of its standard errors: noise of a render makes no outlier. Finds no outliers when they are half of all, nor
 //! one that is so dark that its relative weight has drawn the fit to itself.
 
@@ -30,6 +29,8 @@ const JUDGE_INDEX: u64 = 6 << 32;
 /// Renewals of the weights in one linear model, and how far a coordinate may move in it.
 const RENEWALS: usize = 40;
 const REACH: f64 = 0.5;
+/// By how much its curvature is raised along each coordinate.
+const DAMPING: f64 = 0.05;
 /// Median of chi-square with three degrees of freedom, over three.
 const MEDIAN: f64 = 0.789;
 /// Relative residuals below this are never outliers.
@@ -120,19 +121,6 @@ pub(super) fn factors(
         let weighted = objective.with_factors(factors);
         moved(problem, &weighted, &found.u, &pair)
     };
-    // A configuration that has drawn the stage to itself hides among the others: begin without the one that is best missed.
-    let without = |i: usize| {
-        let mut factors = factors.clone();
-        factors[i] = 0.0;
-        Residuals::of(objective, &pair, &moved(factors))
-    };
-    let best = (0..factors.len())
-        .map(without)
-        .chain([Residuals::of(objective, &pair, &moved(factors.clone()))])
-        .min_by(|a, b| a.trimmed().total_cmp(&b.trimmed()));
-    if let Some(best) = best {
-        factors = best.weights(k);
-    }
     for _ in 0..RENEWALS {
         factors = Residuals::of(objective, &pair, &moved(factors)).weights(k);
     }
@@ -150,7 +138,7 @@ fn moved(problem: &Problem<'_>, objective: &Objective, u: &[f64], pair: &RenderP
         bounds.iter().zip(u).map(room).collect()
     };
     let step = box_quadratic(
-        &model.marquardt_curvature(),
+        &model.marquardt_curvature(DAMPING),
         &model.gradient,
         &side(space.lower()),
         &side(space.upper()),
@@ -193,13 +181,6 @@ impl Residuals {
             beyond_noise,
             expected,
         }
-    }
-
-    /// The sum of all but the largest quarter.
-    fn trimmed(&self) -> f64 {
-        let mut values = self.values.clone();
-        values.sort_by(f64::total_cmp);
-        values[..values.len() - values.len() / 4].iter().sum()
     }
 
     /// Huber's weights.
