@@ -29,8 +29,6 @@ const JUDGE_INDEX: u64 = 6 << 32;
 /// Renewals of the weights in one linear model, and how far a coordinate may move in it.
 const RENEWALS: usize = 40;
 const REACH: f64 = 0.5;
-/// By how much its curvature is raised along each coordinate.
-const DAMPING: f64 = 0.05;
 /// Median of chi-square with three degrees of freedom, over three.
 const MEDIAN: f64 = 0.789;
 /// Relative residuals below this are never outliers.
@@ -138,7 +136,7 @@ fn moved(problem: &Problem<'_>, objective: &Objective, u: &[f64], pair: &RenderP
         bounds.iter().zip(u).map(room).collect()
     };
     let step = box_quadratic(
-        &model.marquardt_curvature(DAMPING),
+        &model.marquardt_curvature(),
         &model.gradient,
         &side(space.lower()),
         &side(space.upper()),

@@ -21,8 +21,6 @@ use crate::render::{Effort, Scene};
 pub(super) const SEARCH_SHARE: f64 = 0.8;
 /// Farthest a coordinate may move in one step, at first, at least and at most.
 const TRUST: (f64, f64, f64) = (0.8, 0.05, 1.5);
-/// By how much the curvature for a step is raised along each coordinate, at first and at least (Marquardt 1963).
-const DAMPING: (f64, f64) = (0.05, 0.003);
 /// How far from the minimum a coordinate is thought to be when a step is weighed against its noise.
 pub(super) const REACH: f64 = 0.6;
 /// Growth of the path count from pair to pair while averaging.
@@ -31,8 +29,6 @@ const GROWTH: f64 = 1.5;
 const TREND: usize = 3;
 /// How many pairs are averaged: with the growth above the last three hold 70 % of all paths.
 const AVERAGED: usize = 3;
-/// An objective of at most this many standard errors ends the descent too.
-const LOST: f64 = 2.0;
 /// The descent takes at most this share of the budget.
 const DESCENT_SHARE: f64 = 0.45;
 /// Camera paths of the first pair, per configuration: far away a rough step is as good as a fine one.
@@ -205,8 +201,6 @@ struct State<'a> {
     base: Vec<f64>,
     trust: f64,
     descending: bool,
-    /// By how much the curvature for a step is raised along each coordinate.
-    damping: f64,
     /// The best pair of the descent: its pool, place and paired objective.
     best: Option<(Pool, Vec<f64>, PairedValue)>,
     /// Paired objectives of the descent.
@@ -235,7 +229,6 @@ impl<'a> State<'a> {
             base: start.to_vec(),
             trust: TRUST.0,
             descending: true,
-            damping: DAMPING.0,
             best: None,
             values: Vec::new(),
         }
@@ -252,9 +245,6 @@ impl<'a> State<'a> {
         self.pool.keep_latest(kept);
         self.pool.push(space, &self.u, &parameters, objective, pair);
         self.base.clone_from(&self.u);
-        if !self.values.is_empty() {
-            self.damping = (0.4 * self.damping).max(DAMPING.1);
-        }
         if !self.descending {
             return true;
         }
@@ -266,7 +256,6 @@ impl<'a> State<'a> {
                 self.pool.clone_from(pool);
                 self.base.clone_from(u);
                 self.trust = (0.5 * self.trust).max(TRUST.1);
-                self.damping = (4.0 * self.damping).min(DAMPING.0);
                 return false;
             }
         }
@@ -301,7 +290,7 @@ impl<'a> State<'a> {
             objective, space, ..
         } = self.problem;
         let model = self.pool.model();
-        let curvature = model.marquardt_curvature(self.damping);
+        let curvature = model.marquardt_curvature();
         let gradient = model.gradient_at(&self.base, &model.curvature);
         let side = |bounds: &[f64], toward: f64| -> Vec<f64> {
             let room = |(bound, base): (&f64, &f64)| {
@@ -403,9 +392,7 @@ pub(super) fn search(
             break;
         }
         if state.descending
-            && (value.value <= LOST * value.standard_error
-                || !state.still_falls()
-                || spent.left(&options.budget, DESCENT_SHARE) == Some(0))
+            && (!state.still_falls() || spent.left(&options.budget, DESCENT_SHARE) == Some(0))
         {
             state.descending = false;
         }
