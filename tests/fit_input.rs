@@ -329,7 +329,7 @@ fn a_prior_without_data_against_it_stays_what_it_is_and_senseless_ones_are_refus
     let with = |method: Method| Options {
         method,
         gain_prior: Some(0.03),
-        ..options(seed(420), 4_000_000)
+        ..options(seed(420), 40_000_000)
     };
     let (_, result) = judged(&one, &with(Method::GaussNewton));
     let gain = result.gain.unwrap();
