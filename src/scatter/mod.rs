@@ -73,6 +73,10 @@ pub struct Outgoing {
 }
 
 /// What a model keeps of a camera side.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "made at every hit: a box would allocate there"
+)]
 #[derive(Debug, Clone, Copy)]
 enum Kept {
     Nothing,
