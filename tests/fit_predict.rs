@@ -7,7 +7,7 @@ mod toy;
 use assert_cmd::Command;
 use goniofit::base::Unwatched;
 use goniofit::fit::{
-    Budget, Comparison, FitResult, Options, Prediction, Refit, compare, fit, predict, validate,
+    Budget, Comparison, FitResult, Options, Prediction, Refit, TAU, compare, fit, predict, validate,
 };
 use goniofit::render::Effort;
 use goniofit::session::{Configuration, Measurements};
@@ -56,7 +56,7 @@ fn poses_never_seen_are_predicted_as_well_as_stated() {
         let effort = Effort::Paths(400_000);
         let predictions =
             predict(&toy, &result, &poses(&exact), &effort, seed, &Unwatched).unwrap();
-        let comparison = compare(&predictions, &exact).unwrap();
+        let comparison = compare(&predictions, &exact, TAU).unwrap();
         for row in &comparison.rows {
             assert!(!row.prediction.in_fit);
             for c in 0..3 {
@@ -184,8 +184,8 @@ fn old_files_are_read_and_refused_with_a_hint_and_poses_must_be_those_measured()
     );
     let predictions: Vec<Prediction> = predict(&full).unwrap();
     assert!(predictions.iter().all(|p| p.in_fit));
-    assert!(compare(&predictions, &measurements).is_ok());
-    let error = compare(&predictions, &only(&measurements, |id| id != 4)).unwrap_err();
+    assert!(compare(&predictions, &measurements, TAU).is_ok());
+    let error = compare(&predictions, &only(&measurements, |id| id != 4), TAU).unwrap_err();
     assert!(
         error.report().contains("configuration 4 was not measured"),
         "{}",
@@ -193,7 +193,7 @@ fn old_files_are_read_and_refused_with_a_hint_and_poses_must_be_those_measured()
     );
     let mut other = measurements.clone();
     other.intensities[0].configuration.light.theta += 0.01;
-    let error = compare(&predictions, &other).unwrap_err().report();
+    let error = compare(&predictions, &other, TAU).unwrap_err().report();
     assert!(error.contains("not the pose that was measured"), "{error}");
 }
 

@@ -7,7 +7,7 @@ mod toy;
 
 use assert_cmd::Command;
 use goniofit::base::{Result, Unwatched, Watch};
-use goniofit::fit::{Aim, Knowledge, MeasuredPose, SuggestOptions, suggest};
+use goniofit::fit::{Aim, Bounds, Knowledge, MeasuredPose, SuggestOptions, TAU, suggest};
 use goniofit::math::{Random, statistics::Running};
 use goniofit::render::{
     Effort, Estimate, Estimates, FiberScene, FiberSceneOptions, Request, Scene,
@@ -129,6 +129,8 @@ fn options(aim: Aim, shots: usize) -> SuggestOptions {
         shots,
         aim,
         relative_error: 0.02,
+        tau: TAU,
+        bounds: Bounds::default(),
         model_error: 0.0,
         paths: 1000,
         seed: seed(1),

@@ -5,10 +5,12 @@ pub(crate) mod resume;
 use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
 use crate::base::{Error, Result, Watch};
-use crate::fit::{Budget, FitResult, Journal, Loss, Method, Options, fit_with_journal};
-use crate::render::{FiberScene, FiberSceneOptions, Scene};
+use crate::fit::{
+    Bounds, Budget, FitResult, Journal, Loss, Method, Options, TAU, fit_with_journal,
+};
+use crate::render::{FiberScene, FiberSceneOptions, Plate, Scene};
 use crate::report::{Provenance, page};
-use crate::scatter;
+use crate::scatter::{self, Parameters};
 use crate::session::{Measurements, files};
 use resume::{Begun, What};
 use std::path::{Path, PathBuf};
@@ -23,6 +25,7 @@ Examples:
   goniofit fit --measurements M.csv --fabric F.toml --loss huber:2 --gain-prior 5% --out trusting
   goniofit fit --measurements M.csv --fabric F.toml --per-system --start fit/fit.json --out warp_and_weft
   goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
+  goniofit fit --measurements M.csv --fabric F.toml --bound c_r=0.04..1 --tau 0.05 --plate white --out velvet
   goniofit fit --resume published
   goniofit fit --resume fit --time 10m
   goniofit fit --measurements M.csv --fabric F.toml --method adam --rates 0.2 --iterations 300 --time 10m --out adam
@@ -30,6 +33,9 @@ Examples:
 Methods: gauss-newton; sgd, the search of Khungurn et al. 2015 (six learning rates a of 60 iterations each, in rescaled
 parameters; in full size --iteration-paths 8388608 --paths 6200000000); adam (Kingma and Ba 2015). The last two work off a
 fixed schedule: the limit shares out the paths of an iteration, unless --iteration-paths says how many.
+
+--bound keeps a parameter (docs/models.md: c_r, or one channel, c_r.g; angles in degrees) inside narrower bounds than the
+model's own; several hold together. Intervals, verdicts, fit.json and refits keep to them.
 
 Cells of measurements.csv that are empty were not measured; a camera with one channel has columns g, g_se only. --loss huber:K
 lets configurations count less whose residual is more than K times a usual one; --gain-prior fits a scale of all measurements.
@@ -97,6 +103,15 @@ pub(crate) struct Asked {
     /// Fit a gain common to all measurements too, known beforehand to be 1 within this, e.g. 5%
     #[arg(long, value_name = "S", value_parser = inputs::fraction)]
     pub(crate) gain_prior: Option<f64>,
+    /// Brightness below which configurations get no more weight (Khungurn 2015 eq. 20)
+    #[arg(long, value_name = "T", value_parser = tau, default_value_t = TAU)]
+    pub(crate) tau: f64,
+    /// Bounds of a parameter narrower than the model's own, e.g. c_r=0.04..1; repeat for others
+    #[arg(long = "bound", value_name = "NAME=LOW..HIGH")]
+    pub(crate) bounds: Vec<String>,
+    /// Under the cloth: black, open (nothing), white, or a diffuse surface of albedo A or R,G,B
+    #[arg(long, value_name = "P", default_value = PLATE, value_parser = render::plate)]
+    pub(crate) plate: Plate,
     #[command(flatten)]
     pub(crate) schedule: Schedule,
 }
@@ -107,6 +122,7 @@ pub(crate) const METHOD: &str = "gauss-newton";
 pub(crate) const SEED: u64 = 1;
 pub(crate) const TOLERANCE: &str = "5%";
 pub(crate) const LOSS: &str = "squared";
+pub(crate) const PLATE: &str = "black";
 
 const SCHEDULE: &str = "Schedule (sgd and adam)";
 
@@ -179,12 +195,24 @@ pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Parses where the weight of dark configurations stops growing.
+pub(crate) fn tau(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(x) if x > 0.0 && x <= 1.0 => Ok(x),
+        _ => Err(format!(
+            "'{text}' is not a normalized radiance above 0 and at most 1; the published value is {TAU}"
+        )),
+    }
+}
+
 /// A fit's inputs, read and checked.
 pub(crate) struct Ready {
     scene: FiberScene,
     measurements: Measurements,
     options: Options,
     synthetic: Option<bool>,
+    /// What bounds change that would surprise.
+    pub(crate) notes: Vec<String>,
 }
 
 impl Ready {
@@ -220,16 +248,21 @@ impl Asked {
             start: start.map(|p| inputs::parameters(p, model)).transpose()?,
             tolerance: self.tolerance,
             loss: Loss::named(&self.loss)?,
+            tau: self.tau,
+            bounds: Bounds::parse(&self.bounds)?,
             gain_prior: self.gain_prior,
             ..Options::new(self.seed, self.budget())
         };
         self.schedule.apply(&mut options)?;
+        let defaults = Parameters::defaults(model);
+        let notes = (options.bounds).notes(options.start.as_ref().unwrap_or(&defaults))?;
         let (measurements, stated) = Measurements::read_with_origin(&self.measurements)?;
         let (surroundings, of_session) = self.surroundings()?;
         Ok(Ready {
             scene: render::fiber_scene(&self.fabric, model, surroundings)?,
             measurements,
             options,
+            notes,
             // Either may say so: the file, wherever it lies, or the session it lies in.
             synthetic: match (stated, of_session) {
                 (Some(a), Some(b)) => Some(a || b),
@@ -240,7 +273,7 @@ impl Asked {
 
     /// See [`surroundings_of`].
     pub(crate) fn surroundings(&self) -> Result<(FiberSceneOptions, Option<bool>)> {
-        surroundings_of(&self.measurements)
+        surroundings_of(&self.measurements, self.plate)
     }
 
     /// The fit of what was read; `command` is the one that repeats it.
@@ -261,6 +294,7 @@ impl Asked {
         Ok(FitResult {
             fabric: self.fabric.display().to_string(),
             measurements: self.measurements.display().to_string(),
+            plate: Some(render::plate_in_words(self.plate)),
             synthetic: ready.synthetic,
             command,
             ..result
@@ -303,6 +337,11 @@ impl Asked {
         option("tolerance", Some(self.tolerance.to_string()));
         option("loss", Some(self.loss.clone()));
         option("gain-prior", self.gain_prior.map(|s| s.to_string()));
+        option("tau", Some(self.tau.to_string()));
+        for bound in &self.bounds {
+            option("bound", Some(bound.clone()));
+        }
+        option("plate", Some(render::plate_in_words(self.plate)));
         let schedule = &self.schedule;
         option(
             "iteration-paths",
@@ -320,14 +359,27 @@ impl Asked {
 }
 
 /// The light and the sample square, those of the session the measurements lie in or beside, if any; and whether that session
-/// is synthetic.
-pub(crate) fn surroundings_of(measurements: &Path) -> Result<(FiberSceneOptions, Option<bool>)> {
+/// is synthetic. Under the cloth is `plate`.
+pub(crate) fn surroundings_of(
+    measurements: &Path,
+    plate: Plate,
+) -> Result<(FiberSceneOptions, Option<bool>)> {
     let folder = measurements.parent();
     let folder = folder.filter(|p| !p.as_os_str().is_empty());
     let session = inputs::session(folder.unwrap_or(Path::new("."))).ok();
     let options = session.as_ref().map(render::surroundings_of).transpose()?;
     let manifest = session.and_then(|s| s.manifest().ok());
-    Ok((options.unwrap_or_default(), manifest.map(|m| m.synthetic)))
+    let options = FiberSceneOptions {
+        plate,
+        ..options.unwrap_or_default()
+    };
+    Ok((options, manifest.map(|m| m.synthetic)))
+}
+
+/// What lay under the cloth in an earlier fit.
+pub(crate) fn plate_of(result: &FitResult) -> Result<Plate> {
+    let text = result.plate.as_deref().unwrap_or(PLATE);
+    render::plate(text).map_err(|fault| Error::new(format!("the fit's plate: {fault}")))
 }
 
 /// Where a fit's files lie in its folder: `fit.json` and `report.html`.
@@ -348,6 +400,9 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         (What::Resume(again), _) => Begun::again(again, &terminal)?,
         (What::New(asked), out) => Begun::new(*asked, out.unwrap_or_default(), a.force)?,
     };
+    for note in &begun.ready.notes {
+        terminal.say(note);
+    }
     let (asked, command) = (&begun.asked, begun.command.clone());
     let fitted = asked.fit(&begun.ready, command, &begun.journal, &terminal);
     terminal.finish_stage();
@@ -465,6 +520,16 @@ pub(crate) fn print_table(result: &FitResult) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn tau_is_a_normalized_radiance() {
+        for (text, expected) in [("0.02", 0.02), ("1", 1.0), ("1e-4", 1e-4)] {
+            assert!((tau(text).unwrap() - expected).abs() < 1e-12, "{text}");
+        }
+        for bad in ["0", "-0.02", "nan", "inf", "1.01", "2%", ""] {
+            assert!(tau(bad).is_err(), "{bad}");
+        }
+    }
 
     #[test]
     fn times_wear_units() {

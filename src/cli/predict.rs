@@ -4,7 +4,7 @@ use super::output::{data, pose_degrees};
 use super::{Outcome, fit, inputs, render, terminal::Terminal};
 use crate::base::{Error, Result};
 use crate::fit::{Compared, Comparison, FitResult, Prediction, compare, predict};
-use crate::render::{Effort, FiberScene};
+use crate::render::{Effort, FiberScene, FiberSceneOptions, Plate};
 use crate::rig::RigDescription;
 use crate::scatter;
 use crate::session::{Configuration, Measurements, Plan};
@@ -21,6 +21,7 @@ Examples:
   goniofit predict --fit trial/fit --plan irawan.toml > predicted.csv
   goniofit predict --fit fit.json --fabric fabrics/gabardine.toml --measurements others.csv
   goniofit predict --fit fit.json --plan P.toml --accuracy 0.5% --json
+  goniofit predict --fit fit.json --plan P.toml --plate white > on_white.csv
 
 With --measurements the predictions are compared: residual (predicted minus measured) and z, the residual over all errors
 together. A pose the fit has seen (in_fit) proves nothing. Intensities are normalized radiance, pi L / E_normal.")]
@@ -41,6 +42,9 @@ pub(crate) struct Arguments {
     /// Rig whose light and sample square to render [default: those of the session the fit's measurements lie in]
     #[arg(long, value_name = "R.toml")]
     rig: Option<PathBuf>,
+    /// Under the cloth: black, open (nothing), white, or an albedo A or R,G,B [default: the fit's]
+    #[arg(long, value_name = "P", value_parser = render::plate)]
+    plate: Option<Plate>,
     /// Camera paths per configuration and render, of two
     #[arg(long, value_name = "N", conflicts_with = "accuracy")]
     paths: Option<u64>,
@@ -67,7 +71,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         (None, Some(m)) => m.intensities.iter().map(|i| i.configuration).collect(),
         (None, None) => return Err(Error::new("neither --plan nor --measurements was given")),
     };
-    let scene = scene_of(&result, a.fabric.as_deref(), a.rig.as_deref())?;
+    let scene = scene_of(&result, a.fabric.as_deref(), a.rig.as_deref(), a.plate)?;
     let effort = match a.paths {
         Some(n) => Effort::Paths(n),
         None => Effort::Accuracy(a.accuracy.unwrap_or(0.01)),
@@ -76,7 +80,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     let predictions = predict(&scene, &result, &poses, &effort, a.seed, &terminal)?;
     terminal.finish_stage();
     let comparison = measurements
-        .map(|m| compare(&predictions, &m))
+        .map(|m| compare(&predictions, &m, result.tau))
         .transpose()?;
     match (&comparison, a.json) {
         (Some(comparison), true) => data!("{}", comparison_json(comparison)),
@@ -93,15 +97,20 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The scene a fit's parameters belong to.
+/// The scene a fit's parameters belong to; `fabric`, `rig` and `plate` replace what the fit says.
 pub(super) fn scene_of(
     result: &FitResult,
     fabric: Option<&Path>,
     rig: Option<&Path>,
+    plate: Option<Plate>,
 ) -> Result<FiberScene> {
+    let plate = plate.map_or_else(|| fit::plate_of(result), Ok)?;
     let surroundings = match rig {
-        Some(rig) => render::surroundings(&RigDescription::read(rig)?)?,
-        None => fit::surroundings_of(Path::new(&result.measurements))?.0,
+        Some(rig) => FiberSceneOptions {
+            plate,
+            ..render::surroundings(&RigDescription::read(rig)?)?
+        },
+        None => fit::surroundings_of(Path::new(&result.measurements), plate)?.0,
     };
     let fabric = fabric.unwrap_or(Path::new(&result.fabric));
     render::fiber_scene(fabric, scatter::model(&result.model)?, surroundings)

@@ -17,6 +17,7 @@ use crate::{fabric, scatter::Model};
 use serde_json::{Value, json};
 use std::path::Path;
 use subject::{Ready, Subject};
+pub(crate) use subject::{plate, plate_in_words};
 
 /// Estimate the mean intensities of a fabric at given parameters, or picture it
 #[derive(clap::Args)]

@@ -5,6 +5,7 @@ use super::predict::{comparison_json, print_comparison, summary};
 use super::{Outcome, fit as fit_command, inputs, render, terminal::Terminal};
 use crate::base::{Error, Result};
 use crate::fit::{Budget, Comparison, FitResult, Options, Refit, fit, validate};
+use crate::render::Plate;
 use crate::report::prediction_chart;
 use crate::scatter;
 use crate::session::{Measurements, files};
@@ -57,6 +58,9 @@ pub(crate) struct Arguments {
     /// Camera paths per configuration and render of the predictions (--fast: of the linear model)
     #[arg(long, value_name = "N", default_value_t = 30_000)]
     predict_paths: u64,
+    /// Under the cloth: black, open (nothing), white, or an albedo A or R,G,B [default: the fit's, black without one]
+    #[arg(long, value_name = "P", value_parser = render::plate)]
+    plate: Option<Plate>,
     /// Selects the random streams
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -81,7 +85,12 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         check_same(given, &measurements)?;
     }
     let model = scatter::model(given.as_ref().map_or(&a.model, |fit| &fit.model))?;
-    let (surroundings, _) = fit_command::surroundings_of(&a.measurements)?;
+    let plate = match (a.plate, &given) {
+        (Some(plate), _) => plate,
+        (None, Some(fit)) => fit_command::plate_of(fit)?,
+        (None, None) => Plate::Black,
+    };
+    let (surroundings, _) = fit_command::surroundings_of(&a.measurements, plate)?;
     let scene = render::fiber_scene(&a.fabric, model, surroundings)?;
     let terminal = Terminal::new()?;
     let full = match given {

@@ -6,6 +6,7 @@
 //! renders a and b that share no random number give `(Ja' S^-2 Jb + Jb' S^-2 Ja) / 2`: unbiased, where the square of one
 //! render's Jacobian would count its noise as knowledge. Knows no second derivatives: what it says holds near the fit.
 
+use super::bounds::Bounds;
 use super::linear::{Matrix, dot, eigen, inverse};
 use super::objective::RenderPair;
 use super::space::SearchSpace;
@@ -33,7 +34,15 @@ impl Place {
     /// # Errors
     /// When a value is outside its bounds.
     pub(super) fn new(parameters: &Parameters) -> Result<Self> {
-        let space = SearchSpace::new(parameters)?;
+        Self::within(parameters, &Bounds::default())
+    }
+
+    /// The same in the smaller box of narrower bounds.
+    ///
+    /// # Errors
+    /// As [`Place::new`], and when the bounds are not those of the model.
+    pub(super) fn within(parameters: &Parameters, bounds: &Bounds) -> Result<Self> {
+        let space = SearchSpace::new(parameters)?.within(bounds)?;
         let u = space.to_search(parameters)?;
         let parameters = space.to_parameters(&u);
         let width = |(high, low): (&f64, &f64)| (high - low) / 12.0_f64.sqrt();

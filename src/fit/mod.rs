@@ -4,6 +4,7 @@
 //! what is unbiased and what only consistent, is in docs/fit.md.
 
 mod adam;
+mod bounds;
 mod choice;
 mod gain;
 mod goodness;
@@ -29,6 +30,7 @@ mod uncertainty;
 mod validate;
 
 pub use adam::AdamOptions;
+pub use bounds::Bounds;
 pub use journal::{Journal, JournalHeader};
 pub use objective::{Objective, PairedValue, RenderPair, TAU, rms_of};
 pub use options::{Budget, Method, Options};
@@ -57,10 +59,10 @@ use space::SearchSpace;
 ///
 /// With a budget in paths the result is a function of the inputs and the seed alone (times excepted). The caller fills
 /// in `fabric`, `measurements`, `synthetic` and `command` of the result. Cancelling keeps the best so far, with a short
-/// final check.
+/// final check. A start outside `options.bounds` is moved inside.
 ///
 /// # Errors
-/// When a measurement is negative or not finite, the start is outside the bounds, a render fails or gives numbers that
+/// When a measurement is negative or not finite, the start is outside the model's bounds, a render fails or gives numbers that
 /// are not finite, or the fit is cancelled before its first render is whole.
 pub fn fit(
     scene: &dyn Scene,
@@ -84,14 +86,17 @@ pub fn fit_with_journal(
     watch: &dyn Watch,
 ) -> Result<FitResult> {
     options.check()?;
-    let mut objective = Objective::new(measurements)?;
+    let mut objective = Objective::with_tau(measurements, options.tau)?;
     let start = match &options.start {
         Some(start) => start.clone(),
         None => Parameters::defaults(scene.model()),
     };
-    let space = SearchSpace::new(&start)?.with_gain(options.gain_prior);
+    let space = SearchSpace::new(&start)?
+        .within(&options.bounds)?
+        .with_gain(options.gain_prior);
     let mut spent = Spent::default();
     let mut u = space.to_search(&start)?;
+    let start = space.inside(&start);
     u.extend(space.gain().map(|_| 0.0));
     let mut history = Vec::new();
     let mut interrupted = None;

@@ -9,7 +9,7 @@ use crate::render::{Effort, Estimate, Estimates, Request, Scene};
 use crate::scatter::{CHANNELS, Parameters};
 use crate::session::{Configuration, Intensity, Measurements};
 
-/// Configurations darker than this get no more weight (Khungurn 2015 eq. 20).
+/// Configurations darker than this get no more weight, unless told otherwise (Khungurn 2015 eq. 20 and sec. 5.3).
 pub const TAU: f64 = 0.02;
 
 /// Correlations between the three channels' errors of one configuration.
@@ -196,6 +196,7 @@ pub struct PairedValue {
 #[derive(Debug, Clone)]
 pub struct Objective {
     intensities: Vec<Intensity>,
+    tau: f64,
     factors: Vec<f64>,
     weights: Vec<NumberWeights>,
 }
@@ -204,18 +205,18 @@ pub struct Objective {
 pub(super) type NumberWeights = [f64; CHANNELS];
 
 /// The weight of a measured configuration (Khungurn 2015 eq. 20) from the mean over the channels present.
-pub(super) fn relative_weight(intensity: &Intensity) -> f64 {
+pub(super) fn relative_weight(intensity: &Intensity, tau: f64) -> f64 {
     let present = intensity
         .where_present(intensity.mean)
         .into_iter()
         .flatten();
     let brightness = present.clone().sum::<f64>() / present.count() as f64;
-    brightness.max(TAU).powi(2).recip()
+    brightness.max(tau).powi(2).recip()
 }
 
 /// The same for each number: 0 where nothing was measured.
-pub(super) fn relative_weights(intensity: &Intensity) -> NumberWeights {
-    let weight = relative_weight(intensity);
+pub(super) fn relative_weights(intensity: &Intensity, tau: f64) -> NumberWeights {
+    let weight = relative_weight(intensity, tau);
     intensity.present.map(|p| if p { weight } else { 0.0 })
 }
 
@@ -225,6 +226,20 @@ impl Objective {
     /// # Errors
     /// When there are no measurements, a configuration has none, or one of them is negative or not finite.
     pub fn new(measurements: &Measurements) -> Result<Self> {
+        Self::with_tau(measurements, TAU)
+    }
+
+    /// The same with another tau: configurations darker than this get no more weight.
+    ///
+    /// # Errors
+    /// As [`Objective::new`], and when tau is not above 0 and at most 1.
+    pub fn with_tau(measurements: &Measurements, tau: f64) -> Result<Self> {
+        if !(tau > 0.0 && tau <= 1.0) {
+            return Err(Error::new(format!(
+                "tau, where the weight of dark configurations stops growing, is {tau}, expected a number above 0 and at most 1"
+            ))
+            .with_hint("the published value is 0.02"));
+        }
         let intensities = measurements.intensities.clone();
         if intensities.is_empty() {
             return Err(Error::new("no measurements to fit"));
@@ -248,8 +263,10 @@ impl Objective {
                 }
             }
         }
-        let weights = intensities.iter().map(relative_weights).collect();
+        let of = |i| relative_weights(i, tau);
+        let weights = intensities.iter().map(of).collect();
         Ok(Self {
+            tau,
             factors: vec![1.0; intensities.len()],
             intensities,
             weights,
@@ -261,11 +278,17 @@ impl Objective {
         let rows = self.intensities.iter().zip(&factors);
         Self {
             intensities: self.intensities.clone(),
+            tau: self.tau,
             weights: rows
-                .map(|(i, q)| relative_weights(i).map(|w| q * w))
+                .map(|(i, q)| relative_weights(i, self.tau).map(|w| q * w))
                 .collect(),
             factors,
         }
+    }
+
+    /// Configurations darker than this get no more weight.
+    pub fn tau(&self) -> f64 {
+        self.tau
     }
 
     /// By what a robust loss has multiplied the weight of each configuration; 1 without.

@@ -1,6 +1,8 @@
 //! What a caller may ask of a fit.
 
 use super::adam::AdamOptions;
+use super::bounds::Bounds;
+use super::objective::TAU;
 use super::published::SgdOptions;
 use super::robust::Loss;
 use crate::base::{Error, Result};
@@ -71,11 +73,15 @@ pub struct Options {
     pub seed: u64,
     /// How residuals count.
     pub loss: Loss,
+    /// Configurations darker than this get no more weight: [`TAU`] (Khungurn 2015 eq. 20).
+    pub tau: f64,
     /// Relative standard deviation of a gain common to all measurements, which is then one more unknown; exact scale when
     /// none. Not for [`Method::Sgd`].
     pub gain_prior: Option<f64>,
     /// Where to begin; the model's published defaults when none.
     pub start: Option<Parameters>,
+    /// Bounds narrower than the model's own.
+    pub bounds: Bounds,
     /// A weighted rms residual significantly above this fraction is reported as a model that does not explain the data.
     pub tolerance: f64,
     /// Camera paths of one iteration of [`Method::Sgd`] or [`Method::Adam`], both renders together. When none, what the
@@ -95,8 +101,10 @@ impl Options {
             budget,
             seed,
             loss: Loss::default(),
+            tau: TAU,
             gain_prior: None,
             start: None,
+            bounds: Bounds::default(),
             tolerance: 0.05,
             iteration_paths: None,
             sgd: SgdOptions::default(),

@@ -6,7 +6,7 @@
 
 use super::information::{self, Place};
 use super::linear::Matrix;
-use super::objective::{RenderPair, TAU, relative_weights};
+use super::objective::{RenderPair, relative_weights};
 use super::result::{FitResult, rms_against};
 use crate::base::{Error, Result, Watch};
 use crate::render::{Effort, Scene, relative_error_weight};
@@ -77,7 +77,7 @@ pub fn predict(
     .scaled(fit.gain_value());
     let with = |(c, [a, b]): (&Configuration, [&crate::render::Estimate; 2])| {
         let mean = std::array::from_fn(|k| 0.5 * (a.mean[k] + b.mean[k]));
-        let brightness = relative_error_weight(mean, TAU).sqrt().recip();
+        let brightness = relative_error_weight(mean, fit.tau).sqrt().recip();
         let [ja, jb] = [a, b].map(|e| place.jacobian(e, [1.0; CHANNELS]));
         Prediction {
             configuration: *c,
@@ -167,16 +167,20 @@ pub struct Comparison {
     pub rms_z: f64,
 }
 
-/// Compares every prediction with the measurement of the same id.
+/// Compares every prediction with the measurement of the same id; residuals count as with the fit's `tau`.
 ///
 /// # Errors
 /// When a pose was not measured, or the measurement of its id is of another pose.
-pub fn compare(predictions: &[Prediction], measurements: &Measurements) -> Result<Comparison> {
+pub fn compare(
+    predictions: &[Prediction],
+    measurements: &Measurements,
+    tau: f64,
+) -> Result<Comparison> {
     let rows = predictions
         .iter()
         .map(|p| Compared::new(p, measurements))
         .collect::<Result<Vec<_>>>()?;
-    Ok(Comparison::of(rows))
+    Ok(Comparison::of(rows, tau))
 }
 
 impl Compared {
@@ -210,10 +214,10 @@ impl Compared {
 
 impl Comparison {
     /// The summary of some rows.
-    pub(super) fn of(rows: Vec<Compared>) -> Self {
+    pub(super) fn of(rows: Vec<Compared>, tau: f64) -> Self {
         let (rms, se) = rms_against(rows.iter().map(|r| {
             let p = &r.prediction;
-            let weights = relative_weights(&r.measured);
+            let weights = relative_weights(&r.measured, tau);
             (weights, p.renders, p.monte_carlo_se, r.measured.mean)
         }));
         let z = rows.iter().flat_map(|r| r.z).flatten();

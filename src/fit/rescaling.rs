@@ -87,6 +87,9 @@ impl Curve {
     }
 
     fn to_position(&self, value: f64) -> f64 {
+        if value >= self.values[self.values.len() - 1] {
+            return self.length();
+        }
         let j = Self::piece(&self.values, value);
         self.positions[j] + (value - self.values[j]) / self.slope_of(j)
     }
@@ -115,6 +118,8 @@ impl Curve {
 #[derive(Debug, Clone)]
 pub(super) struct Rescaling {
     curves: Vec<Curve>,
+    /// Least and greatest value of each place.
+    ends: Vec<[f64; 2]>,
 }
 
 impl Rescaling {
@@ -126,8 +131,16 @@ impl Rescaling {
         let problem = walk.problem;
         let defaults = Parameters::defaults(problem.scene.model());
         let mut curves = Vec::new();
+        let ends = problem.space.ends();
         for (row, info) in defaults.infos().iter().enumerate() {
-            let values = knots(info, options);
+            // A color's channels move together, each as far as its own bounds let it.
+            let own = || (0..info.len()).map(|c| ends[defaults.slot(row, c)]);
+            let whole = ParameterInfo {
+                lower: own().fold(f64::INFINITY, |low, [l, _]| low.min(l)),
+                upper: own().fold(f64::NEG_INFINITY, |high, [_, h]| high.max(h)),
+                ..*info
+            };
+            let values = knots(&whole, options);
             let mut renders = Vec::new();
             for (j, value) in values.iter().enumerate() {
                 let mut flat = defaults.values().to_vec();
@@ -147,7 +160,8 @@ impl Rescaling {
             let curve = Curve::new(values, &increments, options.smallest, info.len() as f64);
             curves.extend(std::iter::repeat_n(curve, info.len()));
         }
-        Ok(Some(Self { curves }))
+        let ends = ends.to_vec();
+        Ok(Some(Self { curves, ends }))
     }
 
     /// Search parameters of values inside their bounds.
@@ -168,11 +182,14 @@ impl Rescaling {
         pairs.map(|(curve, s)| curve.slope(*s)).collect()
     }
 
-    /// `s` moved into the box `0 .. r_p(c_k)`.
+    /// `s` moved into the box: `0 .. r_p(c_k)`, of a color each channel's part of it.
     pub(super) fn projected(&self, s: &[f64]) -> Vec<f64> {
-        let pairs = self.curves.iter().zip(s);
+        let pairs = self.curves.iter().zip(&self.ends).zip(s);
         pairs
-            .map(|(curve, s)| s.clamp(0.0, curve.length()))
+            .map(|((curve, ends), s)| {
+                let [low, high] = ends.map(|end| curve.to_position(end));
+                s.clamp(low, high)
+            })
             .collect()
     }
 }

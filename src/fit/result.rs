@@ -2,7 +2,8 @@
 //!
 //! All numbers are finite; angles wear degrees as in parameter files. Does not know how the numbers were found.
 
-use super::objective::{NumberWeights, PairedValue, rms_of};
+use super::bounds::Bounds;
+use super::objective::{NumberWeights, PairedValue, TAU, rms_of};
 use crate::base::{Context, Error, Result};
 use crate::scatter::{CHANNELS, YARN_SYSTEMS};
 use crate::session::{Configuration, files};
@@ -343,6 +344,15 @@ pub struct FitResult {
     /// How residuals count: `squared`, or a robust loss.
     #[serde(default = "squared")]
     pub loss: String,
+    /// Configurations darker than this have no more weight; the published 0.02 in files of earlier versions.
+    #[serde(default = "published_tau")]
+    pub tau: f64,
+    /// Bounds that were asked for, narrower than the model's own: angles in degrees.
+    #[serde(skip_serializing_if = "Bounds::is_empty", default)]
+    pub bounds: Bounds,
+    /// What lay under the cloth, as a command line says it; filled in by the caller. None where it was not said: black.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub plate: Option<String>,
     /// Correlations of those.
     pub correlation: Correlation,
     /// Every configuration, measured and rendered.
@@ -366,6 +376,10 @@ pub struct FitResult {
     /// The truth, when the session is synthetic and it is known.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub truth: Option<Truth>,
+}
+
+fn published_tau() -> f64 {
+    TAU
 }
 
 fn squared() -> String {

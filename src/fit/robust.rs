@@ -159,7 +159,7 @@ impl Residuals {
         let rows = objective.intensities().iter().zip(pair.estimates());
         let (mut values, mut expected, mut beyond_noise) = (Vec::new(), Vec::new(), Vec::new());
         for ((i, [a, b]), moved) in rows.zip(moved.chunks(CHANNELS)) {
-            let weights = relative_weights(i);
+            let weights = relative_weights(i, objective.tau());
             let (mut value, mut noise, mut measured, mut n) = (0.0, 0.0, 0.0, 0.0);
             for c in (0..CHANNELS).filter(|&c| i.present[c]) {
                 let [e1, e2] = [a, b].map(|e| e.mean[c] + moved[c] - i.mean[c]);

@@ -4,6 +4,7 @@
 //! its range: the logarithm for lengths of range (widths), a softened logit for fractions (colors), the fraction of the
 //! range otherwise. Slopes stay finite at the bounds, so a parameter can sit on a bound and leave it again.
 
+use super::bounds::Bounds;
 use crate::base::{Error, Result};
 use crate::scatter::{ParameterInfo, Parameters, Unit};
 
@@ -97,6 +98,8 @@ impl Axis {
 pub(super) struct SearchSpace {
     template: Parameters,
     axes: Vec<Axis>,
+    /// Least and greatest value of each place of the model.
+    ends: Vec<[f64; 2]>,
     lower: Vec<f64>,
     upper: Vec<f64>,
     /// Standard deviation of the prior of ln g, when the gain g is searched too: the last coordinate.
@@ -121,9 +124,23 @@ impl SearchSpace {
             template: template.clone(),
             lower: axes.iter().map(|a| a.to_search(a.lower)).collect(),
             upper: axes.iter().map(|a| a.to_search(a.upper)).collect(),
+            ends: axes.iter().map(|a| [a.lower, a.upper]).collect(),
             axes,
             gain: None,
         })
+    }
+
+    /// The part of the space inside narrower bounds, in the same coordinates.
+    ///
+    /// # Errors
+    /// When the bounds name no parameter, or leave hardly anything.
+    pub(super) fn within(mut self, bounds: &Bounds) -> Result<Self> {
+        self.ends = bounds.over(&self.template)?;
+        for (j, (axis, [low, high])) in self.axes.iter().zip(&self.ends).enumerate() {
+            self.lower[j] = axis.to_search(*low);
+            self.upper[j] = axis.to_search(*high);
+        }
+        Ok(self)
     }
 
     /// The space with the logarithm of a gain as one more coordinate, with a prior of this standard deviation.
@@ -159,17 +176,29 @@ impl SearchSpace {
         &self.upper
     }
 
-    /// Search coordinates of parameter values, without that of a gain.
+    /// Least and greatest value of each place of the model.
+    pub(super) fn ends(&self) -> &[[f64; 2]] {
+        &self.ends
+    }
+
+    /// Parameter values moved inside the bounds.
+    pub(super) fn inside(&self, parameters: &Parameters) -> Parameters {
+        let pairs = parameters.values().iter().zip(&self.ends);
+        parameters.with_values(pairs.map(|(v, [low, high])| v.clamp(*low, *high)).collect())
+    }
+
+    /// Search coordinates of parameter values moved inside the bounds, without that of a gain.
     ///
     /// # Errors
-    /// When a value is outside its bounds.
+    /// When a value is outside the model's own bounds.
     pub(super) fn to_search(&self, parameters: &Parameters) -> Result<Vec<f64>> {
         let names = parameters.flat_names();
         self.axes
             .iter()
             .zip(parameters.values())
             .zip(&names)
-            .map(|((axis, &value), name)| {
+            .enumerate()
+            .map(|(j, ((axis, &value), name))| {
                 // One part in 1e9 of slack: files hold degrees.
                 let slack = 1e-9 * (axis.upper - axis.lower);
                 if !(axis.lower - slack..=axis.upper + slack).contains(&value) {
@@ -181,7 +210,14 @@ impl SearchSpace {
                         "a fit searches inside the published bounds; angles here are in radians",
                     ));
                 }
-                Ok(axis.to_search(value.clamp(axis.lower, axis.upper)))
+                let [low, high] = self.ends[j];
+                Ok(if value <= low + slack {
+                    self.lower[j]
+                } else if value >= high - slack {
+                    self.upper[j]
+                } else {
+                    axis.to_search(value)
+                })
             })
             .collect()
     }
@@ -194,12 +230,13 @@ impl SearchSpace {
 
     /// The value of the model's place `j` at its coordinate.
     pub(super) fn value(&self, j: usize, u: f64) -> f64 {
+        let [low, high] = self.ends[j];
         if u <= self.lower[j] {
-            self.axes[j].lower
+            low
         } else if u >= self.upper[j] {
-            self.axes[j].upper
+            high
         } else {
-            self.axes[j].to_value(u)
+            self.axes[j].to_value(u).clamp(low, high)
         }
     }
 

@@ -6,9 +6,10 @@
 //! in the choice. Intervals are those of measurements weighted by their errors; a fit that weights all relative errors alike
 //! (Khungurn 2015 eq. 20) can do no better. Does not know which poses a rig reaches.
 
+use super::bounds::Bounds;
 use super::choice::{Target, greedy};
 use super::information::{self, Place, Seen, Shot};
-use super::objective::{RenderPair, TAU};
+use super::objective::RenderPair;
 use super::uncertainty::Samples;
 use crate::base::{Error, Result, Watch};
 use crate::render::{Effort, Estimate, Scene, relative_error_weight};
@@ -45,8 +46,12 @@ pub struct SuggestOptions {
     pub shots: usize,
     /// What they are to make known.
     pub aim: Aim,
-    /// Standard error of a new measurement (and of a measured one of which none is known), relative to the configuration's brightness (not below [`TAU`]).
+    /// Standard error of a new measurement (and of a measured one of which none is known), relative to the configuration's brightness (not below tau).
     pub relative_error: f64,
+    /// Brightness below which errors are no longer relative: that of the fit.
+    pub tau: f64,
+    /// Bounds narrower than the model's own: those of the fit.
+    pub bounds: Bounds,
     /// Error of the model itself, relative to the brightness: added to all measurements' errors in squares.
     pub model_error: f64,
     /// Camera paths per camera direction and render of the candidates; the measured and the chosen poses get eight times as
@@ -121,7 +126,7 @@ pub fn suggest(
     watch: &dyn Watch,
 ) -> Result<Suggestion> {
     options.check(candidates)?;
-    let place = Place::new(parameters)?;
+    let place = Place::within(parameters, &options.bounds)?;
     let aim = Target::of(&options.aim, parameters)?;
     let look = Look {
         scene,
@@ -228,10 +233,11 @@ impl Look<'_> {
         let SuggestOptions {
             relative_error,
             model_error,
+            tau,
             ..
         } = *self.options;
         let shots = Shot::of_pair(self.place, poses, &pair, |i, mean| {
-            let brightness = relative_error_weight(mean, TAU).sqrt().recip();
+            let brightness = relative_error_weight(mean, tau).sqrt().recip();
             let stated = relative_error * brightness;
             let own = known(i).unwrap_or([Some(stated); CHANNELS]);
             own.map(|se| {

@@ -228,6 +228,9 @@ pub(super) fn summarize(
             .collect(),
         gain: gain::result(space, &found.u, &samples),
         loss: options.loss.name(),
+        tau: options.tau,
+        bounds: options.bounds.clone(),
+        plate: None,
         correlation: correlation(&parameters, &samples),
         uncertainty,
         configs: objective
@@ -236,7 +239,7 @@ pub(super) fn summarize(
             .zip(objective.factors())
             .zip(check.pair.estimates())
             .map(|((intensity, &robust_weight), [a, b])| {
-                let weight = relative_weight(intensity);
+                let weight = relative_weight(intensity, objective.tau());
                 let rendered: [f64; CHANNELS] =
                     std::array::from_fn(|c| 0.5 * (a.mean[c] + b.mean[c]));
                 let residual = intensity
@@ -492,8 +495,8 @@ fn parameter_results(
                 unit: unit.to_owned(),
                 value: value(u),
                 initial: scale * initial[j],
-                lower_bound: scale * info.lower,
-                upper_bound: scale * info.upper,
+                lower_bound: value(space.lower()[j]),
+                upper_bound: value(space.upper()[j]),
                 standard_error: 0.5 * (value(u + half) - value(u - half)),
                 interval_68: interval(0.68).map(value),
                 interval_95: outer.map(value),

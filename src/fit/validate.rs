@@ -8,7 +8,7 @@
 
 use super::information::{self, Place, Seen, Shot};
 use super::linear::Matrix;
-use super::objective::{Objective, RenderPair, TAU, relative_weight};
+use super::objective::{Objective, RenderPair, relative_weight};
 use super::options::{Budget, Options};
 use super::predict::{Compared, Comparison, Prediction, compare, parameters_of, predict};
 use super::result::FitResult;
@@ -69,6 +69,8 @@ pub fn validate(
                     start: Some(parameters_of(scene, full)?),
                     tolerance: 0.01 * full.tolerance_percent,
                     loss: Loss::named(&full.loss)?,
+                    tau: full.tau,
+                    bounds: full.bounds.clone(),
                     gain_prior: full.gain.as_ref().map(|g| g.prior_sd),
                     ..Options::new(seed, *budget)
                 };
@@ -80,18 +82,18 @@ pub fn validate(
                     .collect();
                 let effort = Effort::Paths(*paths);
                 let predictions = predict(scene, &without, &poses, &effort, seed, watch)?;
-                rows.extend(compare(&predictions, &left_out)?.rows);
+                rows.extend(compare(&predictions, &left_out, full.tau)?.rows);
             }
         }
         Refit::Linear { paths } => {
             let linear = Linear::new(scene, measurements, full, *paths, seed, watch)?;
             for fold in folds {
                 let (_, left_out) = split(measurements, fold);
-                rows.extend(compare(&linear.predict(fold)?, &left_out)?.rows);
+                rows.extend(compare(&linear.predict(fold)?, &left_out, full.tau)?.rows);
             }
         }
     }
-    Ok(Comparison::of(rows))
+    Ok(Comparison::of(rows, full.tau))
 }
 
 /// Says in the name of every stage which fold it belongs to.
@@ -160,6 +162,7 @@ struct Linear {
     /// Relative error of the model, and of all numbers as the fit shows it.
     model_error: f64,
     error: f64,
+    tau: f64,
 }
 
 impl Linear {
@@ -172,8 +175,8 @@ impl Linear {
         watch: &dyn Watch,
     ) -> Result<Self> {
         let parameters = parameters_of(scene, full)?;
-        let place = Place::new(&parameters)?;
-        let objective = Objective::new(measurements)?;
+        let place = Place::within(&parameters, &full.bounds)?;
+        let objective = Objective::with_tau(measurements, full.tau)?;
         let configurations = objective.configurations();
         let pair = RenderPair::render(
             scene,
@@ -192,7 +195,7 @@ impl Linear {
         let unit: Vec<f64> = objective
             .intensities()
             .iter()
-            .map(|i| error / relative_weight(i).sqrt())
+            .map(|i| error / relative_weight(i, full.tau).sqrt())
             .collect();
         let free: Vec<usize> = (0..place.len())
             .filter(|&j| place.u[j] > place.space.lower()[j] && place.u[j] < place.space.upper()[j])
@@ -225,6 +228,7 @@ impl Linear {
             measured,
             model_error,
             error,
+            tau: full.tau,
         })
     }
 
@@ -286,7 +290,7 @@ impl Linear {
             .map(|r| std::array::from_fn(|c| self.measured[i].mean[c] + r[c] + unit * moved[c]));
         let [a, b] = self.shots[i].each();
         let mean: [f64; CHANNELS] = std::array::from_fn(|c| 0.5 * (renders[0][c] + renders[1][c]));
-        let model = self.model_error / relative_error_weight(mean, TAU).sqrt();
+        let model = self.model_error / relative_error_weight(mean, self.tau).sqrt();
         Prediction {
             configuration: self.configurations[i],
             mean,

@@ -426,6 +426,11 @@ fn facts(result: &FitResult, provenance: &Provenance) -> String {
             "configurations".to_owned(),
             result.configs.len().to_string(),
         ),
+        ("narrower bounds".to_owned(), result.bounds.to_string()),
+        (
+            "under the cloth".to_owned(),
+            result.plate.clone().unwrap_or_default(),
+        ),
         ("method".to_owned(), result.method.clone()),
         ("seed".to_owned(), result.seed.to_string()),
         ("camera paths".to_owned(), result.time.paths.to_string()),
@@ -439,8 +444,8 @@ fn facts(result: &FitResult, provenance: &Provenance) -> String {
         (
             "paired objective".to_owned(),
             format!(
-                "{:.3e} ± {:.1e} (Khungurn 2015 eq. 18-20, tau 0.02; unbiased, may be negative) from {} fresh paths",
-                o.paired, o.se, o.paths
+                "{:.3e} ± {:.1e} (Khungurn 2015 eq. 18-20, tau {}; unbiased, may be negative) from {} fresh paths",
+                o.paired, o.se, result.tau, o.paths
             ),
         ),
         (

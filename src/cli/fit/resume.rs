@@ -249,6 +249,11 @@ mod tests {
         for bad in [
             "goniofit fit --resume o --seed 3",
             "goniofit fit --resume o --out p",
+            "goniofit fit --resume o --tau 0.02",
+            "goniofit fit --resume o --bound c_r=0.04..1",
+            "goniofit fit --resume o --plate white",
+            "goniofit fit --measurements m --fabric f --out o --tau 0",
+            "goniofit fit --measurements m --fabric f --out o --plate gray",
             "goniofit fit --resume o --iteration-paths 900",
             "goniofit fit --measurements m --fabric f",
             "goniofit fit --out o",

@@ -1,7 +1,10 @@
 //! What a fit was made from, so that a later run can tell whether it still is.
 
-use crate::cli::fit::Asked;
+use crate::cli::fit::{self, Asked};
+use crate::cli::render::plate_in_words;
 use crate::fabric::fiber_file;
+use crate::fit::TAU;
+use crate::render::Plate;
 use crate::session::files;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
@@ -19,7 +22,7 @@ pub(crate) struct Inputs {
     fibers: Option<String>,
     /// SHA-256 of the file with the start, if any.
     start: Option<String>,
-    /// What the session around the measurements says of light and sample.
+    /// What the session around the measurements says of light and sample, and what lies under the cloth.
     session: String,
     /// Limits, method, tolerance, schedule.
     options: serde_json::Value,
@@ -49,6 +52,18 @@ impl Inputs {
             "tolerance": asked.tolerance,
         });
         // Named only where given: records of earlier versions stay true.
+        if asked.loss != fit::LOSS {
+            options["loss"] = asked.loss.clone().into();
+        }
+        if let Some(prior) = asked.gain_prior {
+            options["gain_prior"] = prior.into();
+        }
+        if asked.tau.to_bits() != TAU.to_bits() {
+            options["tau"] = asked.tau.into();
+        }
+        if !asked.bounds.is_empty() {
+            options["bound"] = asked.bounds.clone().into();
+        }
         let schedule = &asked.schedule;
         if let Some(paths) = schedule.iteration_paths {
             options["iteration_paths"] = paths.into();
@@ -65,10 +80,16 @@ impl Inputs {
             fibers: fibers.and_then(|path| hashes.of(&path)),
             start: asked.start.as_ref().and_then(|path| hashes.of(path)),
             session: match asked.surroundings() {
-                Ok((o, synthetic)) => format!(
-                    "light {:?} mm at {:?} mm, square {:?} mm, synthetic {synthetic:?}",
-                    o.light.side, o.light.distance, o.sample_square
-                ),
+                Ok((o, synthetic)) => {
+                    let plate = match o.plate {
+                        Plate::Black => String::new(),
+                        other => format!(", plate {}", plate_in_words(other)),
+                    };
+                    format!(
+                        "light {:?} mm at {:?} mm, square {:?} mm, synthetic {synthetic:?}{plate}",
+                        o.light.side, o.light.distance, o.sample_square
+                    )
+                }
                 Err(error) => error.to_string(),
             },
             options,

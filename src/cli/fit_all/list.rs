@@ -5,9 +5,9 @@
 
 use crate::base::{Context, Error, Result};
 use crate::cli::fit::{self, Asked};
-use crate::cli::inputs;
-use crate::fit::{Loss, Method};
-use crate::scatter;
+use crate::cli::{inputs, render};
+use crate::fit::{Bounds, Loss, Method, TAU};
+use crate::scatter::{self, Parameters};
 use crate::session::files;
 use serde::Deserialize;
 use std::collections::HashSet;
@@ -76,6 +76,10 @@ struct OptionSet {
     rates: Vec<f64>,
     loss: Option<String>,
     gain_prior: Option<Quantity>,
+    tau: Option<Quantity>,
+    #[serde(default)]
+    bound: Vec<String>,
+    plate: Option<String>,
 }
 
 /// A number, or a text with its unit as on a command line.
@@ -253,8 +257,9 @@ impl Exclude {
 impl Combination<'_> {
     /// The task, with everything checked that needs no file.
     fn task(&self, number: usize, folder: &Path) -> Result<Task> {
-        scatter::model(self.model)?;
+        let model = scatter::model(self.model)?;
         let o = self.options;
+        Bounds::parse(&o.bound)?.over(&Parameters::defaults(model))?;
         let method = o.method.as_deref().unwrap_or(fit::METHOD);
         let schedule = fit::Schedule {
             iteration_paths: o.iteration_paths,
@@ -271,6 +276,7 @@ impl Combination<'_> {
             Some(given) => given,
             None => inputs::fraction(fit::TOLERANCE).map_err(Error::new)?,
         };
+        let plate = render::plate(o.plate.as_deref().unwrap_or(fit::PLATE));
         Ok(Task {
             number,
             id: self.id(),
@@ -289,6 +295,9 @@ impl Combination<'_> {
                 tolerance,
                 loss: loss.to_owned(),
                 gain_prior: read(&o.gain_prior, "gain_prior", inputs::fraction)?,
+                tau: read(&o.tau, "tau", fit::tau)?.unwrap_or(TAU),
+                bounds: o.bound.clone(),
+                plate: plate.map_err(|fault| Error::new(format!("plate: {fault}")))?,
                 schedule,
             },
         })
@@ -421,6 +430,12 @@ mod tests {
                 "[[options]]\nmethod = 'sgd'\nrates = [-1.0]\n",
                 "learning rates must be positive",
             ),
+            ("[[options]]\ntau = 0\n", "tau: '0' is not"),
+            (
+                "[[options]]\nbound = ['c_x=0..1']\n",
+                "bound c_x: the model has no such parameter",
+            ),
+            ("[[options]]\nplate = 'gray'\n", "plate: 'gray' is not"),
             ("[[options]]\n[[options]]\npaths = 3\n", "occurs twice"),
             ("seeds = [1, 1]\n", "occurs twice"),
             ("[[exclude]]\nseed = 2\n", "exclude 1 excludes nothing"),

@@ -190,6 +190,7 @@ impl Work<'_> {
         };
         let fit = || {
             let ready = asked.read()?;
+            ready.notes.iter().for_each(|note| log.line(note));
             if Inputs::of(&self.task.asked, &mut Hashes::default()) != *inputs {
                 return Err(Error::new("the inputs changed while they were read")
                     .with_hint("the next run does it again"));

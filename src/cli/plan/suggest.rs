@@ -4,7 +4,9 @@ use super::{save, within_reach};
 use crate::base::{Error, Result};
 use crate::cli::output::{data, pose_degrees};
 use crate::cli::{Outcome, fit, inputs, render, terminal::Terminal};
-use crate::fit::{Aim, Knowledge, MeasuredPose, SuggestOptions, Suggestion, suggest, three_digits};
+use crate::fit::{
+    Aim, Bounds, Knowledge, MeasuredPose, SuggestOptions, Suggestion, TAU, suggest, three_digits,
+};
 use crate::render::FiberSceneOptions;
 use crate::rig::RigDescription;
 use crate::scatter::{self, Model, Parameters};
@@ -130,6 +132,8 @@ struct Known {
     fabric: Option<PathBuf>,
     relative_error: Option<f64>,
     model_error: f64,
+    tau: f64,
+    bounds: Bounds,
     surroundings: FiberSceneOptions,
 }
 
@@ -139,6 +143,7 @@ impl Known {
         let result = inputs::fit_result(path)?;
         let model = scatter::model(&result.model)?;
         let measured = result.configs.iter();
+        let plate = fit::plate_of(&result)?;
         let rms = 0.01 * result.objective.measurement_rms_percent;
         Ok(Self {
             model,
@@ -148,7 +153,9 @@ impl Known {
                 .collect(),
             relative_error: (rms > 0.0).then_some(rms),
             model_error: 0.01 * result.objective.misfit_percent,
-            surroundings: fit::surroundings_of(Path::new(&result.measurements))?.0,
+            surroundings: fit::surroundings_of(Path::new(&result.measurements), plate)?.0,
+            tau: result.tau,
+            bounds: result.bounds,
             fabric: Some(PathBuf::from(result.fabric)),
         })
     }
@@ -164,6 +171,8 @@ impl Known {
             fabric: None,
             relative_error: None,
             model_error: 0.0,
+            tau: TAU,
+            bounds: Bounds::default(),
             surroundings: FiberSceneOptions::default(),
         })
     }
@@ -181,9 +190,14 @@ pub(super) fn run(a: &SuggestArguments) -> Result<Outcome> {
     let rig = a.rig.as_deref().map(RigDescription::read).transpose()?;
     let options = options(a, &known)?;
     let (grid, candidates) = candidates(a, &known.measured, rig.as_ref())?;
+    let plate = known.surroundings.plate;
     let surroundings = rig
         .as_ref()
         .map_or(Ok(known.surroundings), render::surroundings)?;
+    let surroundings = FiberSceneOptions {
+        plate,
+        ..surroundings
+    };
     let fabric = a.fabric.as_ref().or(known.fabric.as_ref());
     let fabric = fabric.ok_or_else(|| Error::new("--fabric was not given"))?;
     let scene = render::fiber_scene(fabric, known.model, surroundings)?;
@@ -222,6 +236,8 @@ fn options(a: &SuggestArguments, known: &Known) -> Result<SuggestOptions> {
             name => Aim::Parameter(name.to_owned()),
         },
         relative_error,
+        tau: known.tau,
+        bounds: known.bounds.clone(),
         model_error: known.model_error,
         paths: a.paths,
         seed: a.seed,

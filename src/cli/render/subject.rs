@@ -156,7 +156,8 @@ pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     all.try_into().ok()
 }
 
-fn plate(text: &str) -> Result<Plate, String> {
+/// Parses what lies under the cloth.
+pub(crate) fn plate(text: &str) -> Result<Plate, String> {
     let albedo = match text {
         "black" => return Ok(Plate::Black),
         "open" => return Ok(Plate::Open),
@@ -169,6 +170,15 @@ fn plate(text: &str) -> Result<Plate, String> {
             })?,
     };
     Ok(Plate::Diffuse(albedo))
+}
+
+/// What [`plate`] reads as this.
+pub(crate) fn plate_in_words(plate: Plate) -> String {
+    match plate {
+        Plate::Black => "black".to_owned(),
+        Plate::Open => "open".to_owned(),
+        Plate::Diffuse([r, g, b]) => format!("{r},{g},{b}"),
+    }
 }
 
 fn view(text: &str) -> Result<View, String> {
@@ -269,6 +279,10 @@ mod tests {
         );
         for bad in ["", "gray", "1.5", "0.1,0.2", "nan", "0,0,-1"] {
             assert!(plate(bad).is_err(), "{bad}");
+        }
+        for text in ["black", "open", "white", "0.1,0.2,0.3"] {
+            let read = plate(text).unwrap();
+            assert_eq!(plate(&plate_in_words(read)).unwrap(), read, "{text}");
         }
         assert_eq!(view("ortho").unwrap(), View::Orthographic);
         assert_eq!(
