@@ -107,6 +107,8 @@ fn a_truth_below_a_bound_is_fitted_at_the_bound_by_every_method() {
             blue.sentence.contains("at its lower bound 0.150"),
             "{blue:?}"
         );
+        let held = "c_r.b is held by a bound that was asked for";
+        assert!(result.reason.contains(held), "{}", result.reason);
         let unlike = |a: f64, b: f64| (a - b).abs() > 1e-12;
         assert!(!unlike(blue.value, 0.15) && !unlike(blue.lower_bound, 0.15));
         // The published start 0.1 lies outside.
@@ -138,7 +140,7 @@ fn a_truth_below_a_bound_is_fitted_at_the_bound_by_every_method() {
             "{method:?} {blue:?}"
         );
         assert!(scene.take()[2][0] < 0.14);
-        assert!(free.bounds.is_empty());
+        assert!(free.bounds.is_empty() && !free.reason.contains("held"));
     }
 }
 

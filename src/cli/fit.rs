@@ -1,6 +1,7 @@
 //! `goniofit fit`.
 
 pub(crate) mod resume;
+mod schedule;
 
 use super::output::data;
 use super::{Outcome, inputs, render, terminal::Terminal};
@@ -13,6 +14,7 @@ use crate::report::{Provenance, page};
 use crate::scatter::{self, Parameters};
 use crate::session::{Measurements, files};
 use resume::{Begun, What};
+pub(crate) use schedule::Schedule;
 use std::path::{Path, PathBuf};
 
 /// Find the model parameters that reproduce measured intensities
@@ -123,60 +125,6 @@ pub(crate) const SEED: u64 = 1;
 pub(crate) const TOLERANCE: &str = "5%";
 pub(crate) const LOSS: &str = "squared";
 pub(crate) const PLATE: &str = "black";
-
-const SCHEDULE: &str = "Schedule (sgd and adam)";
-
-/// What only the methods with a fixed schedule are asked.
-#[derive(Debug, Clone, Default, clap::Args)]
-pub(crate) struct Schedule {
-    /// Camera paths of one iteration, both renders together [default: so that all iterations fit in the limit]
-    #[arg(long, value_name = "N", help_heading = SCHEDULE)]
-    pub(crate) iteration_paths: Option<u64>,
-    /// Iterations of each run [default: 60 for sgd, 200 for adam]
-    #[arg(long, value_name = "N", help_heading = SCHEDULE)]
-    pub(crate) iterations: Option<u32>,
-    /// Learning rates: the multipliers a that sgd tries, or adam's first step [default: 0.25,1,4,16,64,256 or 0.3]
-    #[arg(long, value_name = "A,...", value_delimiter = ',', help_heading = SCHEDULE)]
-    pub(crate) rates: Vec<f64>,
-}
-
-impl Schedule {
-    /// Whether `method` can work it off.
-    pub(crate) fn check(&self, method: Method) -> Result<()> {
-        let mut options = Options {
-            method,
-            ..Options::new(SEED, Budget::default())
-        };
-        self.apply(&mut options)?;
-        options.check_method()
-    }
-
-    fn apply(&self, options: &mut Options) -> Result<()> {
-        options.iteration_paths = self.iteration_paths;
-        let asked = self.iterations.is_some() || !self.rates.is_empty();
-        match (options.method, self.rates.as_slice()) {
-            (Method::GaussNewton, _) if asked || self.iteration_paths.is_some() => {
-                return Err(
-                    Error::new("gauss-newton has no schedule of iterations and rates").with_hint(
-                        "--iteration-paths, --iterations and --rates go with --method sgd or adam",
-                    ),
-                );
-            }
-            (Method::Sgd, rates) if !rates.is_empty() => options.sgd.rates = rates.to_vec(),
-            (Method::Adam, [rate]) => options.adam.rate = *rate,
-            (Method::Adam, [_, _, ..]) => {
-                return Err(Error::new("adam takes one learning rate, not a list")
-                    .with_hint("write e.g. --rates 0.3"));
-            }
-            _ => {}
-        }
-        if let Some(iterations) = self.iterations {
-            options.sgd.iterations = iterations;
-            options.adam.iterations = iterations;
-        }
-        Ok(())
-    }
-}
 
 /// Parses `60s`, `5m`, `1h` or plain seconds.
 pub(crate) fn seconds(text: &str) -> Result<f64, String> {

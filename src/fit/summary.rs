@@ -209,6 +209,7 @@ pub(super) fn summarize(
     if converged {
         reason += &doubts(problem, start, goodness.as_ref());
     }
+    reason += &held(problem, start, &found.u);
     Ok(FitResult {
         format: FitResult::FORMAT.to_owned(),
         parameters: parameters.to_json(),
@@ -447,6 +448,30 @@ fn doubts(problem: &Problem<'_>, start: &Parameters, goodness: Option<&Goodness>
         );
     }
     doubts
+}
+
+/// Which parameters lie on bounds that were asked for, where the model has no bound; empty when none.
+fn held(problem: &Problem<'_>, start: &Parameters, u: &[f64]) -> String {
+    let space = problem.space;
+    let inner = |value: f64, limit: f64| (value - limit).abs() > 0.0;
+    let names: Vec<String> = (start.places().iter().zip(start.flat_names()))
+        .zip(space.ends())
+        .enumerate()
+        .filter(|(j, (((row, _), _), [low, high]))| {
+            let info = &start.infos()[*row];
+            (u[*j] <= space.lower()[*j] && inner(*low, info.lower))
+                || (u[*j] >= space.upper()[*j] && inner(*high, info.upper))
+        })
+        .map(|(_, ((_, name), _))| name)
+        .collect();
+    match names.len() {
+        0 => String::new(),
+        1 => format!("; {} is held by a bound that was asked for", names[0]),
+        _ => format!(
+            "; {} are held by bounds that were asked for",
+            names.join(", ")
+        ),
+    }
 }
 
 fn parameter_results(
