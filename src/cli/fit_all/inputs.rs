@@ -1,6 +1,6 @@
 //! What a fit was made from, so that a later run can tell whether it still is.
 
-use crate::cli::fit::Asked;
+use crate::cli::fit::{Asked, LOSS};
 use crate::fabric::fiber_file;
 use crate::session::files;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ pub(crate) struct Inputs {
     start: Option<String>,
     /// What the session around the measurements says of light and sample.
     session: String,
-    /// Limits, method, tolerance, schedule.
+    /// Limits, method, tolerance, schedule, loss, gain.
     options: serde_json::Value,
 }
 
@@ -58,6 +58,12 @@ impl Inputs {
         }
         if !schedule.rates.is_empty() {
             options["rates"] = schedule.rates.clone().into();
+        }
+        if asked.loss != LOSS {
+            options["loss"] = asked.loss.clone().into();
+        }
+        if let Some(prior) = asked.gain_prior {
+            options["gain_prior"] = prior.into();
         }
         Self {
             measurements: hashes.of(&asked.measurements),
