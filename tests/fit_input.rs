@@ -77,9 +77,11 @@ fn the_objective_is_the_sum_over_what_was_measured() {
         "{found:?} {value}"
     );
     // What stands where nothing was measured changes nothing, in value, error and gradient; where it counts it does.
-    let other = Objective::new(&some(0.02, seed(300), 9.0, gappy)).unwrap();
-    assert_eq!(other.paired(&pair), found);
-    assert_eq!(other.gradient(&pair, &at), objective.gradient(&pair, &at));
+    for filler in [9.0, f64::NAN] {
+        let other = Objective::new(&some(0.02, seed(300), filler, gappy)).unwrap();
+        assert_eq!(other.paired(&pair), found);
+        assert_eq!(other.gradient(&pair, &at), objective.gradient(&pair, &at));
+    }
     let all = Objective::new(&some(0.02, seed(300), 5.0, |_, _| true)).unwrap();
     assert!((all.paired(&pair).value / value - 1.0).abs() > 1e-3);
 }
@@ -97,7 +99,7 @@ fn a_fit_with_gaps_finds_the_truth_and_never_looks_into_them() {
         )
         .unwrap()
     };
-    let (a, b) = (run(0.0), run(3.0));
+    let (a, b) = (run(0.0), run(f64::NAN));
     assert_eq!(a.to_json().unwrap(), b.to_json().unwrap());
     let error = 100.0 * toy.distance(&fitted(&a), &Toy::truth(&INSIDE));
     assert!(

@@ -30,7 +30,8 @@ mod validate;
 
 pub use adam::AdamOptions;
 pub use journal::{Journal, JournalHeader};
-pub use objective::{Objective, PairedValue, RenderPair, TAU, rms_of};
+pub use crate::render::TAU;
+pub use objective::{Objective, PairedValue, RenderPair, rms_of};
 pub use options::{Budget, Method, Options};
 pub use predict::{Compared, Comparison, Prediction, compare, predict};
 pub use published::{Selection, SgdOptions};

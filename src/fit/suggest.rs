@@ -8,10 +8,10 @@
 
 use super::choice::{Target, greedy};
 use super::information::{self, Place, Seen, Shot};
-use super::objective::{RenderPair, TAU};
+use super::objective::{RenderPair, brightness, channels_of};
 use super::uncertainty::Samples;
 use crate::base::{Error, Result, Watch};
-use crate::render::{Effort, Estimate, Scene, relative_error_weight};
+use crate::render::{Effort, Estimate, Scene};
 use crate::scatter::{CHANNELS, Parameters, Unit};
 use crate::session::Configuration;
 use serde::Serialize;
@@ -45,7 +45,8 @@ pub struct SuggestOptions {
     pub shots: usize,
     /// What they are to make known.
     pub aim: Aim,
-    /// Standard error of a new measurement (and of a measured one of which none is known), relative to the configuration's brightness (not below [`TAU`]).
+    /// Standard error of a new measurement (and of a measured one of which none is known), relative to the configuration's
+    /// brightness: its mean over the channels measured, not below [`crate::render::TAU`].
     pub relative_error: f64,
     /// Error of the model itself, relative to the brightness: added to all measurements' errors in squares.
     pub model_error: f64,
@@ -123,7 +124,9 @@ pub fn suggest(
     options.check(candidates)?;
     let place = Place::new(parameters)?;
     let aim = Target::of(&options.aim, parameters)?;
+    let stated = measured.iter().filter_map(|(_, errors)| *errors);
     let look = Look {
+        channels: channels_of(stated.map(|errors| errors.map(|e| e.is_some()))),
         scene,
         parameters,
         place: &place,
@@ -197,6 +200,8 @@ impl SuggestOptions {
 
 /// What renders are made of.
 struct Look<'a> {
+    /// Those that a new pose is measured in: the channels of the measured ones.
+    channels: [bool; CHANNELS],
     scene: &'a dyn Scene,
     parameters: &'a Parameters,
     place: &'a Place,
@@ -231,9 +236,9 @@ impl Look<'_> {
             ..
         } = *self.options;
         let shots = Shot::of_pair(self.place, poses, &pair, |i, mean| {
-            let brightness = relative_error_weight(mean, TAU).sqrt().recip();
+            let brightness = brightness(mean, self.channels);
             let stated = relative_error * brightness;
-            let own = known(i).unwrap_or([Some(stated); CHANNELS]);
+            let own = known(i).unwrap_or(self.channels.map(|c| c.then_some(stated)));
             own.map(|se| {
                 let se = se.map(|s| if s > 0.0 { s } else { stated });
                 se.map(|s| s.hypot(model_error * brightness))
