@@ -244,6 +244,32 @@ fn interrupted_anywhere_a_fit_keeps_the_best_and_goes_on() {
 }
 
 #[test]
+fn a_robust_fit_interrupted_between_its_stages_keeps_the_best_of_the_one_before() {
+    let mut trial = Trial::new(Method::GaussNewton);
+    trial.options.loss = Loss::Huber(2.0);
+    let scene = Counted::new(ALWAYS);
+    let whole = trial.fit(&scene, &trial.options, &trial.begin()).unwrap();
+    // From the first whole pair on there is something to keep, whatever the fit is at.
+    for interrupt_after in 0..scene.rendered() {
+        let journal = trial.begin();
+        let ended = trial.fit(&Counted::new(interrupt_after), &trial.options, &journal);
+        assert_eq!(ended.is_ok(), interrupt_after > 1, "{interrupt_after}");
+        if let Ok(result) = ended {
+            assert!(!result.converged && result.reason.contains("interrupted"));
+            let iterations = journal.used().1;
+            assert!(!result.history.is_empty() && result.history.len() <= iterations);
+        }
+        assert_eq!(journal.used().1 as u64, interrupt_after / 2);
+        drop(journal);
+        let journal = trial.again(&trial.options).unwrap();
+        let result = trial
+            .fit(&Counted::new(ALWAYS), &trial.options, &journal)
+            .unwrap();
+        assert_eq!(text(&result), text(&whole), "after {interrupt_after}");
+    }
+}
+
+#[test]
 fn other_limits_give_the_result_of_a_fit_begun_with_them() {
     for (method, reused_at_least) in [
         (Method::GaussNewton, 3),

@@ -28,9 +28,9 @@ mod summary;
 mod uncertainty;
 mod validate;
 
+pub use crate::render::TAU;
 pub use adam::AdamOptions;
 pub use journal::{Journal, JournalHeader};
-pub use crate::render::TAU;
 pub use objective::{Objective, PairedValue, RenderPair, rms_of};
 pub use options::{Budget, Method, Options};
 pub use predict::{Compared, Comparison, Prediction, compare, predict};
@@ -96,6 +96,7 @@ pub fn fit_with_journal(
     u.extend(space.gain().map(|_| 0.0));
     let mut history = Vec::new();
     let mut interrupted = None;
+    let mut earlier = None;
     for stage in options.loss.early_stages(options) {
         let problem = Problem {
             scene,
@@ -104,15 +105,23 @@ pub fn fit_with_journal(
             options: &stage,
             journal,
         };
-        let (mut found, note) = searched(&problem, &u, &mut spent, watch)?;
+        let (mut found, note) = searched(&problem, &u, earlier.take(), &mut spent, watch)?;
         if found.stop == Stop::Cancelled {
             interrupted = Some((found, note));
             break;
         }
-        let factors = robust::factors(&problem, &found, &mut spent, watch)?;
+        let factors = match robust::factors(&problem, &found, &mut spent, watch) {
+            Err(_) if watch.cancelled() => {
+                found.stop = Stop::Cancelled;
+                interrupted = Some((found, note));
+                break;
+            }
+            factors => factors?,
+        };
         history.append(&mut found.history);
         objective = objective.with_factors(factors);
-        u = found.u;
+        u.clone_from(&found.u);
+        earlier = Some(found);
     }
     let problem = Problem {
         scene,
@@ -123,7 +132,7 @@ pub fn fit_with_journal(
     };
     let (mut found, note) = match interrupted {
         Some(found) => found,
-        None => searched(&problem, &u, &mut spent, watch)?,
+        None => searched(&problem, &u, earlier, &mut spent, watch)?,
     };
     found.history.splice(0..0, history);
     let check = summary::FreshCheck::render(&problem, &mut found, &mut spent, watch)?;
@@ -134,16 +143,27 @@ pub fn fit_with_journal(
     Ok(result)
 }
 
-/// Where the method asked for ends from `u`, and what it has to say.
+/// Where the method asked for ends from `u`, and what it has to say. An interrupt before there is anything new leaves what
+/// an `earlier` stage found.
 fn searched(
     problem: &Problem<'_>,
     u: &[f64],
+    earlier: Option<Found>,
     spent: &mut Spent,
     watch: &dyn Watch,
 ) -> Result<(Found, String)> {
-    match problem.options.method {
-        Method::GaussNewton => Ok((search::search(problem, u, spent, watch)?, String::new())),
+    let ended = match problem.options.method {
+        Method::GaussNewton => {
+            search::search(problem, u, spent, watch).map(|found| (found, String::new()))
+        }
         Method::Sgd => published::search(problem, u, spent, watch),
         Method::Adam => adam::search(problem, u, spent, watch),
+    };
+    match (ended, earlier) {
+        (Err(_), Some(mut found)) if watch.cancelled() => {
+            found.stop = Stop::Cancelled;
+            Ok((found, String::new()))
+        }
+        (ended, _) => ended,
     }
 }
