@@ -4,6 +4,8 @@
 //! what is unbiased and what only consistent, is in docs/fit.md.
 
 mod adam;
+mod certainty;
+mod check;
 mod choice;
 mod gain;
 mod goodness;
@@ -27,9 +29,11 @@ mod suggest;
 mod summary;
 mod uncertainty;
 mod validate;
+mod verdict;
 
 pub use crate::render::TAU;
 pub use adam::AdamOptions;
+pub use certainty::three_digits;
 pub use journal::{Journal, JournalHeader};
 pub use objective::{Objective, PairedValue, RenderPair, rms_of};
 pub use options::{Budget, Method, Options};
@@ -44,7 +48,6 @@ pub use robust::Loss;
 pub use suggest::{
     Aim, Knowledge, MeasuredPose, SuggestOptions, SuggestedShot, Suggestion, suggest,
 };
-pub use summary::three_digits;
 pub use validate::{Refit, validate};
 
 use crate::base::{Result, Watch};
@@ -135,7 +138,7 @@ pub fn fit_with_journal(
         None => searched(&problem, &u, earlier, &mut spent, watch)?,
     };
     found.history.splice(0..0, history);
-    let check = summary::FreshCheck::render(&problem, &mut found, &mut spent, watch)?;
+    let check = check::FreshCheck::render(&problem, &mut found, &mut spent, watch)?;
     let mut result = summary::summarize(&problem, &start, &found, &check, spent)?;
     if !note.is_empty() {
         result.reason = format!("{} [{note}]", result.reason);
