@@ -5,11 +5,11 @@ mod toy;
 
 use goniofit::base::Unwatched;
 use goniofit::fit::{
-    Budget, Compared, Comparison, FitResult, Options, Refit, compare, fit, predict, validate,
+    Budget, Compared, Comparison, FitResult, Refit, compare, fit, predict, validate,
 };
 use goniofit::render::Effort;
 use goniofit::session::Measurements;
-use toy::{INSIDE, Toy, seed};
+use toy::{INSIDE, Toy, options, seed};
 
 /// The toy's measurements in green alone; what stands at the other channels is no number.
 fn green() -> Measurements {
@@ -25,11 +25,7 @@ fn green() -> Measurements {
 }
 
 fn fitted(measurements: &Measurements) -> FitResult {
-    let budget = Budget {
-        paths: Some(6_000_000),
-        ..Budget::default()
-    };
-    let options = Options::new(seed(500), budget);
+    let options = options(seed(500), 6_000_000);
     fit(&Toy::default(), measurements, &options, &Unwatched).unwrap()
 }
 

@@ -5,19 +5,9 @@
 mod toy;
 
 use goniofit::base::Unwatched;
-use goniofit::fit::{Budget, FitResult, Options, Verdict, fit};
+use goniofit::fit::{FitResult, Options, Verdict, fit};
 use goniofit::scatter::Parameters;
-use toy::{GABARDINE, INSIDE, TOY, Toy, seed};
-
-fn options(seed: u64, paths: u64) -> Options {
-    Options::new(
-        seed,
-        Budget {
-            paths: Some(paths),
-            ..Budget::default()
-        },
-    )
-}
+use toy::{GABARDINE, INSIDE, TOY, Toy, options, seed};
 
 fn run(toy: &Toy, truth: &[f64; 9], sd: f64, options: &Options) -> FitResult {
     let measurements = toy.measure(&Toy::truth(truth), sd, options.seed);

@@ -4,23 +4,11 @@
 mod toy;
 
 use goniofit::base::Unwatched;
-use goniofit::fit::{
-    Budget, FitResult, Loss, Method, Objective, Options, RenderPair, Verdict, fit,
-};
+use goniofit::fit::{FitResult, Loss, Method, Objective, Options, RenderPair, Verdict, fit};
 use goniofit::render::Effort;
 use goniofit::scatter::Parameters;
 use goniofit::session::{Intensity, Measurements};
-use toy::{INSIDE, TOY, Toy, seed};
-
-fn options(seed: u64, paths: u64) -> Options {
-    Options::new(
-        seed,
-        Budget {
-            paths: Some(paths),
-            ..Budget::default()
-        },
-    )
-}
+use toy::{INSIDE, TOY, Toy, options, seed};
 
 fn fitted(result: &FitResult) -> Parameters {
     Parameters::from_json(&TOY, &result.parameters).unwrap()
