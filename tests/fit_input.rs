@@ -313,19 +313,34 @@ fn a_gain_takes_up_a_scale_error_that_spoils_the_parameters_otherwise() {
 
 #[test]
 fn a_prior_without_data_against_it_stays_what_it_is_and_senseless_ones_are_refused() {
-    // A camera that sees one pose cannot tell the gain from colors: the prior is all there is.
-    let mut one = off(seed(420), &[]);
-    one.intensities.truncate(1);
-    let with = |method: Method| Options {
+    // A camera that sees one pose cannot tell the gain from colors: the prior is all there is. Three numbers leave nine
+    // parameters so free that some fits are still moving at the end, and say so; of those at rest (12 of 16) the gain is
+    // within 1.3 standard deviations of the prior from 1. Sees a prior twice too weak or too strong in the intervals.
+    let one = |k: u64| {
+        let mut one = off(seed(420) + k, &[]);
+        one.intensities.truncate(1);
+        one
+    };
+    let with = |method: Method, k: u64| Options {
         method,
         gain_prior: Some(0.03),
-        ..options(seed(420), 40_000_000)
+        ..options(seed(420) + k, 4_000_000)
     };
-    let (_, result) = judged(&one, &with(Method::GaussNewton));
-    let gain = result.gain.unwrap();
-    assert!((gain.standard_error / 0.03 - 1.0).abs() < 0.2, "{gain:?}");
-    let (_, result) = judged(&one, &with(Method::Adam));
+    let mut at_rest = 0;
+    for k in 0..16 {
+        let (_, result) = judged(&one(k), &with(Method::GaussNewton, k));
+        let gain = result.gain.unwrap();
+        if result.converged {
+            at_rest += 1;
+            let spread = gain.standard_error / 0.03;
+            assert!((spread - 1.0).abs() < 0.2, "{k}: {gain:?}");
+            assert!((gain.value - 1.0).abs() < 0.06, "{k}: {gain:?}");
+        }
+    }
+    assert!(at_rest >= 8, "{at_rest} of 16");
+    let (_, result) = judged(&one(0), &with(Method::Adam, 0));
     assert!((result.gain.unwrap().value - 1.0).abs() < 0.1);
-    let refused = fit(&Toy::default(), &one, &with(Method::Sgd), &Unwatched);
+    let sgd = with(Method::Sgd, 0);
+    let refused = fit(&Toy::default(), &one(0), &sgd, &Unwatched);
     assert!(refused.unwrap_err().report().contains("no gain"));
 }

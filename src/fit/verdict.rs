@@ -106,7 +106,8 @@ pub(super) fn verdict(
         );
     }
     let bounded = problem.objective.bounded();
-    // What stated errors of the measurements explain is no fault of the model.
+    // What stated errors of the measurements explain is no fault of the model. Errors of 10 % leave 9.0 +- 1.0 % of 48
+    // numbers after nine parameters have absorbed their part; with a tolerance of 5 % up to 11.2 % pass.
     let tolerated = options.tolerance.powi(2) * n + bounded.measurement_sum();
     let judged = bounded.paired(&check.pair);
     if judged.value - 2.0 * judged.standard_error > tolerated {
