@@ -214,17 +214,18 @@ fn interrupted_anywhere_a_fit_keeps_the_best_and_goes_on() {
         let scene = Counted::new(ALWAYS);
         let whole = trial.fit(&scene, &trial.options, &trial.begin()).unwrap();
         let renders = scene.rendered();
-        let mut with_result = 0;
+        // Two renders for each of three knots of five parameters come before sgd's first iteration.
+        let first_whole = if method == Method::Sgd { 32 } else { 2 };
         // An odd stride: the first render of a pair and the second.
         let stride = if method == Method::Sgd { 3 } else { 1 };
-        let mut tried = 0;
         for interrupt_after in (0..renders).step_by(stride) {
-            tried += 1;
             let scene = Counted::new(interrupt_after);
             let journal = trial.begin();
-            match trial.fit(&scene, &trial.options, &journal) {
+            let ended = trial.fit(&scene, &trial.options, &journal);
+            let kept = interrupt_after >= first_whole;
+            assert_eq!(ended.is_ok(), kept, "{method:?} after {interrupt_after}");
+            match ended {
                 Ok(result) => {
-                    with_result += 1;
                     assert!(!result.converged && result.reason.contains("interrupted"));
                     // The two pairs at the end, each a tenth of all at most: the toy's floor of 64 paths aside.
                     let before = result.history.last().unwrap().total_paths;
@@ -250,10 +251,6 @@ fn interrupted_anywhere_a_fit_keeps_the_best_and_goes_on() {
                 "{method:?} after {interrupt_after}"
             );
         }
-        assert!(
-            with_result > tried / 4,
-            "{method:?}: {with_result} of {tried}"
-        );
     }
 }
 
