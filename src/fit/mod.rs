@@ -50,7 +50,7 @@ pub use suggest::{
 };
 pub use validate::{Refit, validate};
 
-use crate::base::{Result, Watch};
+use crate::base::{Context, Result, Watch};
 use crate::render::Scene;
 use crate::scatter::Parameters;
 use crate::session::Measurements;
@@ -100,7 +100,7 @@ pub fn fit_with_journal(
     let mut history = Vec::new();
     let mut interrupted = None;
     let mut earlier = None;
-    for stage in options.loss.early_stages(options) {
+    for (number, stage) in (1..).zip(options.loss.early_stages(options)) {
         let problem = Problem {
             scene,
             objective: &objective,
@@ -108,7 +108,10 @@ pub fn fit_with_journal(
             options: &stage,
             journal,
         };
-        let (mut found, note) = searched(&problem, &u, earlier.take(), &mut spent, watch)?;
+        let ended = searched(&problem, &u, earlier.take(), &mut spent, watch);
+        let (mut found, note) = ended.context(|| {
+            format!("stage {number} of the robust fit, which has a share of the limits")
+        })?;
         if found.stop == Stop::Cancelled {
             interrupted = Some((found, note));
             break;
