@@ -4,23 +4,11 @@
 mod toy;
 
 use goniofit::base::Unwatched;
-use goniofit::fit::{
-    Budget, FitResult, Loss, Method, Objective, Options, RenderPair, Verdict, fit,
-};
+use goniofit::fit::{FitResult, Loss, Method, Objective, Options, RenderPair, Verdict, fit};
 use goniofit::render::Effort;
 use goniofit::scatter::Parameters;
 use goniofit::session::{Intensity, Measurements};
-use toy::{INSIDE, TOY, Toy, seed};
-
-fn options(seed: u64, paths: u64) -> Options {
-    Options::new(
-        seed,
-        Budget {
-            paths: Some(paths),
-            ..Budget::default()
-        },
-    )
-}
+use toy::{INSIDE, TOY, Toy, options, seed};
 
 fn fitted(result: &FitResult) -> Parameters {
     Parameters::from_json(&TOY, &result.parameters).unwrap()
@@ -77,9 +65,11 @@ fn the_objective_is_the_sum_over_what_was_measured() {
         "{found:?} {value}"
     );
     // What stands where nothing was measured changes nothing, in value, error and gradient; where it counts it does.
-    let other = Objective::new(&some(0.02, seed(300), 9.0, gappy)).unwrap();
-    assert_eq!(other.paired(&pair), found);
-    assert_eq!(other.gradient(&pair, &at), objective.gradient(&pair, &at));
+    for filler in [9.0, f64::NAN] {
+        let other = Objective::new(&some(0.02, seed(300), filler, gappy)).unwrap();
+        assert_eq!(other.paired(&pair), found);
+        assert_eq!(other.gradient(&pair, &at), objective.gradient(&pair, &at));
+    }
     let all = Objective::new(&some(0.02, seed(300), 5.0, |_, _| true)).unwrap();
     assert!((all.paired(&pair).value / value - 1.0).abs() > 1e-3);
 }
@@ -97,7 +87,7 @@ fn a_fit_with_gaps_finds_the_truth_and_never_looks_into_them() {
         )
         .unwrap()
     };
-    let (a, b) = (run(0.0), run(3.0));
+    let (a, b) = (run(0.0), run(f64::NAN));
     assert_eq!(a.to_json().unwrap(), b.to_json().unwrap());
     let error = 100.0 * toy.distance(&fitted(&a), &Toy::truth(&INSIDE));
     assert!(
@@ -323,19 +313,34 @@ fn a_gain_takes_up_a_scale_error_that_spoils_the_parameters_otherwise() {
 
 #[test]
 fn a_prior_without_data_against_it_stays_what_it_is_and_senseless_ones_are_refused() {
-    // A camera that sees one pose cannot tell the gain from colors: the prior is all there is.
-    let mut one = off(seed(420), &[]);
-    one.intensities.truncate(1);
-    let with = |method: Method| Options {
+    // A camera that sees one pose cannot tell the gain from colors: the prior is all there is. Three numbers leave nine
+    // parameters so free that some fits are still moving at the end, and say so; of those at rest (12 of 16) the gain is
+    // within 1.3 standard deviations of the prior from 1. Sees a prior twice too weak or too strong in the intervals.
+    let one = |k: u64| {
+        let mut one = off(seed(420) + k, &[]);
+        one.intensities.truncate(1);
+        one
+    };
+    let with = |method: Method, k: u64| Options {
         method,
         gain_prior: Some(0.03),
-        ..options(seed(420), 40_000_000)
+        ..options(seed(420) + k, 4_000_000)
     };
-    let (_, result) = judged(&one, &with(Method::GaussNewton));
-    let gain = result.gain.unwrap();
-    assert!((gain.standard_error / 0.03 - 1.0).abs() < 0.2, "{gain:?}");
-    let (_, result) = judged(&one, &with(Method::Adam));
+    let mut at_rest = 0;
+    for k in 0..16 {
+        let (_, result) = judged(&one(k), &with(Method::GaussNewton, k));
+        let gain = result.gain.unwrap();
+        if result.converged {
+            at_rest += 1;
+            let spread = gain.standard_error / 0.03;
+            assert!((spread - 1.0).abs() < 0.2, "{k}: {gain:?}");
+            assert!((gain.value - 1.0).abs() < 0.06, "{k}: {gain:?}");
+        }
+    }
+    assert!(at_rest >= 8, "{at_rest} of 16");
+    let (_, result) = judged(&one(0), &with(Method::Adam, 0));
     assert!((result.gain.unwrap().value - 1.0).abs() < 0.1);
-    let refused = fit(&Toy::default(), &one, &with(Method::Sgd), &Unwatched);
+    let sgd = with(Method::Sgd, 0);
+    let refused = fit(&Toy::default(), &one(0), &sgd, &Unwatched);
     assert!(refused.unwrap_err().report().contains("no gain"));
 }

@@ -11,7 +11,7 @@
 mod toy;
 
 use goniofit::base::{Result, Unwatched, Watch};
-use goniofit::fit::{Budget, FitResult, Method, Options, Selection, SgdOptions, TAU, fit};
+use goniofit::fit::{Budget, FitResult, Loss, Method, Options, Selection, SgdOptions, TAU, fit};
 use goniofit::math::Random;
 use goniofit::render::{
     Effort, Estimate, Estimates, Request, Scene, relative_error_weight, weighted_rms,
@@ -470,6 +470,19 @@ fn budgets_are_kept_or_refused() {
             .report();
         assert!(
             error.contains("do not hold the schedule") && error.contains("hint:"),
+            "{error}"
+        );
+        // Of a robust fit each stage must hold it; the paths named are that stage's.
+        let robust = Options {
+            loss: Loss::Huber(2.0),
+            ..refused
+        };
+        let error = fit(&scene, &measured, &robust, &Unwatched).unwrap_err();
+        let error = error.report();
+        assert!(
+            error.contains("stage 1 of the robust fit")
+                && error.contains("1500000 paths do not hold the schedule")
+                && error.contains("hint:"),
             "{error}"
         );
         let error = fit(

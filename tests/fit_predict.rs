@@ -12,17 +12,7 @@ use goniofit::fit::{
 use goniofit::render::Effort;
 use goniofit::session::{Configuration, Measurements};
 use serde_json::Value;
-use toy::{INSIDE, Toy, seed};
-
-fn options(seed: u64, paths: u64) -> Options {
-    Options::new(
-        seed,
-        Budget {
-            paths: Some(paths),
-            ..Budget::default()
-        },
-    )
-}
+use toy::{INSIDE, Toy, options, seed};
 
 /// The configurations that satisfy `keep`, by id.
 fn only(measurements: &Measurements, keep: impl Fn(u32) -> bool) -> Measurements {

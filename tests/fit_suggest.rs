@@ -278,6 +278,31 @@ fn every_choice_is_the_best_of_all_and_buys_what_the_exact_jacobian_says() {
 }
 
 /// Reported standard deviations against those of an information; sees one part in a million.
+#[test]
+fn a_camera_with_one_channel_is_offered_nothing_about_the_others() {
+    // Sees candidates that count as measured in all channels: then c_r.r would fall below 0.3.
+    let scene = Formula::default();
+    let p = Toy::truth(&INSIDE);
+    let green = |(c, _): MeasuredPose| (c, Some([None, Some(0.002), None]));
+    let old: Vec<MeasuredPose> = measured(None).into_iter().map(green).collect();
+    let aim = options(Aim::Weakest, 3);
+    let found = suggest(&scene, &p, &old, &candidates(), &aim, &Unwatched).unwrap();
+    let after = |known: &[MeasuredPose], name: &str| {
+        let found = suggest(&scene, &p, known, &candidates(), &aim, &Unwatched).unwrap();
+        let shot = found.shots.last().unwrap();
+        named(&shot.after, name).share_unknown
+    };
+    for unseen in ["c_r.r", "c_tt.b"] {
+        assert!(after(&old, unseen) > 0.999_999, "{unseen}");
+        // Negative control: poses of which no error is known are those of a camera with three.
+        assert!(after(&measured(None), unseen) < 0.3, "{unseen}");
+    }
+    for shot in &found.shots {
+        let aim = shot.chosen_for.as_deref().unwrap();
+        assert!(!aim.ends_with(".r") && !aim.ends_with(".b"), "{aim}");
+    }
+}
+
 fn check_shares(reported: &[f64], information: &Square) {
     let (c, _) = inverse(information);
     for (j, share) in reported.iter().enumerate() {

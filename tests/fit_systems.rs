@@ -135,7 +135,8 @@ fn warp_and_weft_get_their_own_colors() {
     let measurements = measured(&scene, &truth);
 
     // Truths lie in the 95 % intervals made twice as wide (18 at once, and the intervals are of first order); what a pose
-    // shows directly, C_R, is within a quarter, where an exchange of the sets would make a factor of five.
+    // shows directly, C_R, is within 15 % (6 to 9 % off as measured), where an exchange of the sets would make a factor of
+    // five.
     let mut own = fitted(&tile, model, &measurements, 1_000_000);
     let means = measurements.intensities.iter().map(|i| i.mean).collect();
     own.add_truth(truth.to_json(), means).unwrap();
@@ -152,7 +153,7 @@ fn warp_and_weft_get_their_own_colors() {
         );
         if p.name.contains("c_r") {
             assert!(
-                (p.value / truth - 1.0).abs() < 0.25,
+                (p.value / truth - 1.0).abs() < 0.15,
                 "{}: {truth}",
                 p.sentence
             );

@@ -11,9 +11,9 @@ mod scatter_laws;
 
 use goniofit::math::GaussLegendre;
 use goniofit::math::special::i0e;
-use goniofit::scatter::normalizer::{NormalizerTable, gaussian, lobe_normalizer};
+use goniofit::scatter::normalizer::{NormalizerTable, lobe_normalizer};
 use goniofit::scatter::{Evaluation, Khungurn, Model};
-use scatter_laws::{direction_deg, khungurn};
+use scatter_laws::{direction_deg, gaussian, khungurn};
 use serde_json::Value;
 use std::f64::consts::FRAC_PI_2;
 

@@ -7,9 +7,9 @@ mod scatter_laws;
 
 use goniofit::math::GaussLegendre;
 use goniofit::scatter::albedo::{SphereRule, directional_albedo, reverse_albedo};
-use goniofit::scatter::normalizer::{gaussian, lobe_normalizer};
+use goniofit::scatter::normalizer::lobe_normalizer;
 use goniofit::scatter::{Khungurn, Model, Scattering};
-use scatter_laws::{direction_deg, khungurn};
+use scatter_laws::{direction_deg, gaussian, khungurn};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 fn prepared(c_r: [f64; 3], c_tt: [f64; 3], widths_deg: [f64; 3]) -> Box<dyn Scattering> {

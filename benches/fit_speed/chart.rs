@@ -1,6 +1,10 @@
 //! The chart of kept rows: seconds to each residual, and how wrong the parameters are at the end, per fabric and method.
 
+#[path = "../common/axes.rs"]
+mod axes;
+
 use super::{Row, TARGETS};
+use axes::{distinct, range, short};
 use plotters::coord::Shift;
 use plotters::element::ComposedElement;
 use plotters::prelude::*;
@@ -215,31 +219,4 @@ fn at_place(x: f64, names: &[String]) -> String {
     let near = names.get(x.round().max(0.0) as usize);
     let exact = (x - x.round()).abs() < 1e-6;
     near.filter(|_| exact).cloned().unwrap_or_default()
-}
-
-/// A logarithmic axis around positive values, a little wider than they are.
-fn range(values: impl Iterator<Item = f64>) -> std::ops::Range<f64> {
-    let positive = values.filter(|v| *v > 0.0 && v.is_finite());
-    let (low, high) = positive.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
-    if low > high {
-        return 0.1..10.0;
-    }
-    low / 1.4..high * 1.4
-}
-
-fn short(v: f64) -> String {
-    match v {
-        v if v >= 1e4 => format!("{:.0} k", v / 1e3),
-        v if v >= 1.0 => format!("{v:.0}"),
-        v => format!("{}", (v * 1000.0).round() / 1000.0),
-    }
-}
-
-fn distinct<'a>(names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
-    names.fold(Vec::new(), |mut list, name| {
-        if !list.contains(&name) {
-            list.push(name);
-        }
-        list
-    })
 }

@@ -1,6 +1,10 @@
 //! Charts of a kept run: error against CPU seconds, both logarithmic.
 
+#[path = "../common/axes.rs"]
+mod axes;
+
 use super::{MATERIALS, Results, Row, root};
+use axes::{distinct, range, short};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::path::Path;
@@ -243,30 +247,6 @@ fn panel(area: &Area<'_>, title: &str, axes: &Axes<'_>, series: &[Series], legen
             .draw()
             .unwrap();
     }
-}
-
-/// A logarithmic axis around positive values, a little wider than they are.
-fn range(values: impl Iterator<Item = f64>) -> std::ops::Range<f64> {
-    let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
-    low / 1.4..high * 1.4
-}
-
-fn short(v: f64) -> String {
-    match v {
-        v if v >= 1e6 => format!("{:.0} M", v / 1e6),
-        v if v >= 1e4 => format!("{:.0} k", v / 1e3),
-        v if v >= 1.0 => format!("{v:.0}"),
-        v => format!("{}", (v * 1000.0).round() / 1000.0),
-    }
-}
-
-fn distinct<'a>(names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
-    names.fold(Vec::new(), |mut list, name| {
-        if !list.contains(&name) {
-            list.push(name);
-        }
-        list
-    })
 }
 
 /// The newest dated run whose name ends so.

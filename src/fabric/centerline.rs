@@ -140,19 +140,6 @@ impl CenterLine {
         }
     }
 
-    /// Positions of the changes of side within one period, in cells.
-    pub fn changes(&self) -> Vec<f64> {
-        self.floats.iter().map(|f| f.start).collect()
-    }
-
-    /// Middle and side (+1 top, -1 below) of every float within one period, in cells.
-    pub fn crowns(&self) -> Vec<(f64, f64)> {
-        self.floats
-            .iter()
-            .map(|f| (f.start + 0.5 * f.length, f.side))
-            .collect()
-    }
-
     fn inside(&self, float: &Float, y: f64) -> Jet {
         float_profile(y, float.length, self.u_max, self.crown).scaled(float.side)
     }
@@ -219,11 +206,13 @@ mod tests {
             for u in [0.0, 0.1, 0.8, 1.5, FRAC_PI_2] {
                 for join in [0.05, 0.25, 0.5] {
                     let line = CenterLine::new(cells, 0.1, u, join);
-                    let crowns = line.crowns();
-                    for (k, &(middle, side)) in crowns.iter().enumerate() {
-                        let next = crowns
+                    let middle_of = |f: &Float| f.start + 0.5 * f.length;
+                    for (k, float) in line.floats.iter().enumerate() {
+                        let (middle, side) = (middle_of(float), float.side);
+                        let next = line
+                            .floats
                             .get(k + 1)
-                            .map_or(crowns[0].0 + cells.len() as f64, |c| c.0);
+                            .map_or(middle_of(&line.floats[0]) + cells.len() as f64, middle_of);
                         let mut last = line.at(middle).value * side;
                         assert!((last - 0.1).abs() < 1e-14);
                         for j in 1..=400 {

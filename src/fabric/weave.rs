@@ -155,17 +155,6 @@ impl Draft {
             .map(|c| !self.warp_on_top(row, c))
             .collect()
     }
-
-    /// The rows as text, 1 = warp on top.
-    pub fn to_rows(&self) -> Vec<String> {
-        (0..self.rows)
-            .map(|r| {
-                (0..self.columns)
-                    .map(|c| if self.warp_on_top(r, c) { '1' } else { '0' })
-                    .collect()
-            })
-            .collect()
-    }
 }
 
 fn read_row(index: usize, row: &str) -> Result<Vec<bool>> {
@@ -186,23 +175,22 @@ fn read_row(index: usize, row: &str) -> Result<Vec<bool>> {
 mod tests {
     use super::*;
 
+    /// The rows of a named draft as text, 1 = warp on top.
+    fn rows_of(name: &str) -> Vec<String> {
+        let draft = Draft::named(name).unwrap();
+        let side = |r: usize, c: usize| if draft.warp_on_top(r, c) { '1' } else { '0' };
+        let row = |r: usize| (0..draft.columns).map(|c| side(r, c)).collect();
+        (0..draft.rows).map(row).collect()
+    }
+
     #[test]
     fn named_weaves_are_the_textbook_drafts() {
-        assert_eq!(Draft::named("plain").unwrap().to_rows(), ["10", "01"]);
+        assert_eq!(rows_of("plain"), ["10", "01"]);
+        assert_eq!(rows_of("2/1 twill"), ["110", "011", "101"]);
+        assert_eq!(rows_of("Twill 2/2"), ["1100", "0110", "0011", "1001"]);
+        assert_eq!(rows_of("3/1 twill"), ["1110", "0111", "1011", "1101"]);
         assert_eq!(
-            Draft::named("2/1 twill").unwrap().to_rows(),
-            ["110", "011", "101"]
-        );
-        assert_eq!(
-            Draft::named("Twill 2/2").unwrap().to_rows(),
-            ["1100", "0110", "0011", "1001"]
-        );
-        assert_eq!(
-            Draft::named("3/1 twill").unwrap().to_rows(),
-            ["1110", "0111", "1011", "1101"]
-        );
-        assert_eq!(
-            Draft::named("5-end satin").unwrap().to_rows(),
+            rows_of("5-end satin"),
             ["11110", "10111", "11101", "01111", "11011"]
         );
     }

@@ -5,7 +5,7 @@
 //! that name a place hold together, and the model's own with them: nothing here widens a range. The coordinates of the
 //! search stay those of the model's range; only its box becomes smaller.
 
-use super::summary::three_digits;
+use super::certainty::three_digits;
 use crate::base::{Error, Result};
 use crate::scatter::{ParameterInfo, Parameters, Unit};
 use serde::{Deserialize, Serialize};

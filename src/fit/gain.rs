@@ -7,10 +7,10 @@
 //! a ten thousandth squared). Model errors are not in e: where they are larger than e the data pull at the gain more, and the
 //! prior less, than they should. Renders are multiplied by g before anything else sees them.
 
+use super::certainty::three_digits;
 use super::objective::{Objective, RenderPair};
 use super::result::GainResult;
 use super::space::SearchSpace;
-use super::summary::three_digits;
 use super::uncertainty::Samples;
 use crate::scatter::CHANNELS;
 

@@ -5,6 +5,8 @@
 
 mod adam;
 mod bounds;
+mod certainty;
+mod check;
 mod choice;
 mod gain;
 mod goodness;
@@ -28,11 +30,14 @@ mod suggest;
 mod summary;
 mod uncertainty;
 mod validate;
+mod verdict;
 
+pub use crate::render::TAU;
 pub use adam::AdamOptions;
 pub use bounds::Bounds;
+pub use certainty::three_digits;
 pub use journal::{Journal, JournalHeader};
-pub use objective::{Objective, PairedValue, RenderPair, TAU, rms_of};
+pub use objective::{Objective, PairedValue, RenderPair, rms_of};
 pub use options::{Budget, Method, Options};
 pub use predict::{Compared, Comparison, Prediction, compare, predict};
 pub use published::{Selection, SgdOptions};
@@ -45,10 +50,9 @@ pub use robust::Loss;
 pub use suggest::{
     Aim, Knowledge, MeasuredPose, SuggestOptions, SuggestedShot, Suggestion, suggest,
 };
-pub use summary::three_digits;
 pub use validate::{Refit, validate};
 
-use crate::base::{Result, Watch};
+use crate::base::{Context, Result, Watch};
 use crate::render::Scene;
 use crate::scatter::Parameters;
 use crate::session::Measurements;
@@ -100,7 +104,8 @@ pub fn fit_with_journal(
     u.extend(space.gain().map(|_| 0.0));
     let mut history = Vec::new();
     let mut interrupted = None;
-    for stage in options.loss.early_stages(options) {
+    let mut earlier = None;
+    for (number, stage) in (1..).zip(options.loss.early_stages(options)) {
         let problem = Problem {
             scene,
             objective: &objective,
@@ -108,15 +113,26 @@ pub fn fit_with_journal(
             options: &stage,
             journal,
         };
-        let (mut found, note) = searched(&problem, &u, &mut spent, watch)?;
+        let ended = searched(&problem, &u, earlier.take(), &mut spent, watch);
+        let (mut found, note) = ended.context(|| {
+            format!("stage {number} of the robust fit, which has a share of the limits")
+        })?;
         if found.stop == Stop::Cancelled {
             interrupted = Some((found, note));
             break;
         }
-        let factors = robust::factors(&problem, &found, &mut spent, watch)?;
+        let factors = match robust::factors(&problem, &found, &mut spent, watch) {
+            Err(_) if watch.cancelled() => {
+                found.stop = Stop::Cancelled;
+                interrupted = Some((found, note));
+                break;
+            }
+            factors => factors?,
+        };
         history.append(&mut found.history);
         objective = objective.with_factors(factors);
-        u = found.u;
+        u.clone_from(&found.u);
+        earlier = Some(found);
     }
     let problem = Problem {
         scene,
@@ -127,10 +143,10 @@ pub fn fit_with_journal(
     };
     let (mut found, note) = match interrupted {
         Some(found) => found,
-        None => searched(&problem, &u, &mut spent, watch)?,
+        None => searched(&problem, &u, earlier, &mut spent, watch)?,
     };
     found.history.splice(0..0, history);
-    let check = summary::FreshCheck::render(&problem, &mut found, &mut spent, watch)?;
+    let check = check::FreshCheck::render(&problem, &mut found, &mut spent, watch)?;
     let mut result = summary::summarize(&problem, &start, &found, &check, spent)?;
     if !note.is_empty() {
         result.reason = format!("{} [{note}]", result.reason);
@@ -138,16 +154,27 @@ pub fn fit_with_journal(
     Ok(result)
 }
 
-/// Where the method asked for ends from `u`, and what it has to say.
+/// Where the method asked for ends from `u`, and what it has to say. An interrupt before there is anything new leaves what
+/// an `earlier` stage found.
 fn searched(
     problem: &Problem<'_>,
     u: &[f64],
+    earlier: Option<Found>,
     spent: &mut Spent,
     watch: &dyn Watch,
 ) -> Result<(Found, String)> {
-    match problem.options.method {
-        Method::GaussNewton => Ok((search::search(problem, u, spent, watch)?, String::new())),
+    let ended = match problem.options.method {
+        Method::GaussNewton => {
+            search::search(problem, u, spent, watch).map(|found| (found, String::new()))
+        }
         Method::Sgd => published::search(problem, u, spent, watch),
         Method::Adam => adam::search(problem, u, spent, watch),
+    };
+    match (ended, earlier) {
+        (Err(_), Some(mut found)) if watch.cancelled() => {
+            found.stop = Stop::Cancelled;
+            Ok((found, String::new()))
+        }
+        (ended, _) => ended,
     }
 }

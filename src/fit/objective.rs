@@ -1,16 +1,14 @@
 //! The weighted squared error between measured and rendered intensities, estimated without bias.
 //!
 //! `f = sum_i w_i sum_c (R_ic - M_ic)^2`, `w_i = 1 / max(a_i, tau)^2`, `a_i` the channel mean of the measurement, tau =
-//! 0.02 (Khungurn 2015 eq. 18-20). A number that was not measured has weight 0 and no part in `a_i`. The square of one noisy render is too large by its variance; the product of two
-//! independent renders' errors is not, so nothing here takes a single render. Does not know how parameters are searched.
+//! 0.02 (Khungurn 2015 eq. 18-20). A number that was not measured has weight 0 and no part in `a_i`. The square of one
+//! noisy render is too large by its variance; the product of two independent renders' errors is not, so nothing here takes
+//! a single render. Does not know how parameters are searched.
 
 use crate::base::{Context, Error, Result, Watch};
-use crate::render::{Effort, Estimate, Estimates, Request, Scene};
+use crate::render::{Effort, Estimate, Estimates, Request, Scene, TAU};
 use crate::scatter::{CHANNELS, Parameters};
 use crate::session::{Configuration, Intensity, Measurements};
-
-/// Configurations darker than this get no more weight, unless told otherwise (Khungurn 2015 eq. 20 and sec. 5.3).
-pub const TAU: f64 = 0.02;
 
 /// Correlations between the three channels' errors of one configuration.
 pub(super) type ChannelCorrelation = [[f64; CHANNELS]; CHANNELS];
@@ -204,14 +202,30 @@ pub struct Objective {
 /// The weight of each channel's number of one configuration; 0 where nothing was measured.
 pub(super) type NumberWeights = [f64; CHANNELS];
 
-/// The weight of a measured configuration (Khungurn 2015 eq. 20) from the mean over the channels present.
+/// What errors of a configuration are relative to: its mean over the channels that are `seen`, not below `tau`.
+pub(super) fn brightness(mean: [f64; CHANNELS], seen: [bool; CHANNELS], tau: f64) -> f64 {
+    let of_seen = (0..CHANNELS).filter(|&c| seen[c]).map(|c| mean[c]);
+    (of_seen.clone().sum::<f64>() / of_seen.count() as f64).max(tau)
+}
+
+/// The channels that any of several configurations was measured in; all of them where none says.
+pub(super) fn channels_of(
+    configurations: impl Iterator<Item = [bool; CHANNELS]>,
+) -> [bool; CHANNELS] {
+    let any = configurations.fold([false; CHANNELS], |any, present| {
+        std::array::from_fn(|c| any[c] || present[c])
+    });
+    if any == [false; CHANNELS] {
+        return [true; CHANNELS];
+    }
+    any
+}
+
+/// The weight of a measured configuration (Khungurn 2015 eq. 20).
 pub(super) fn relative_weight(intensity: &Intensity, tau: f64) -> f64 {
-    let present = intensity
-        .where_present(intensity.mean)
-        .into_iter()
-        .flatten();
-    let brightness = present.clone().sum::<f64>() / present.count() as f64;
-    brightness.max(tau).powi(2).recip()
+    brightness(intensity.mean, intensity.present, tau)
+        .powi(2)
+        .recip()
 }
 
 /// The same for each number: 0 where nothing was measured.
@@ -240,7 +254,8 @@ impl Objective {
             ))
             .with_hint("the published value is 0.02"));
         }
-        let intensities = measurements.intensities.clone();
+        let cleared = measurements.intensities.iter().map(Intensity::cleared);
+        let intensities: Vec<Intensity> = cleared.collect();
         if intensities.is_empty() {
             return Err(Error::new("no measurements to fit"));
         }

@@ -2,10 +2,10 @@
 
 use super::adam::AdamOptions;
 use super::bounds::Bounds;
-use super::objective::TAU;
 use super::published::SgdOptions;
 use super::robust::Loss;
 use crate::base::{Error, Result};
+use crate::render::TAU;
 use crate::scatter::Parameters;
 
 /// How the parameters are searched.

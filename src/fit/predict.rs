@@ -6,10 +6,10 @@
 
 use super::information::{self, Place};
 use super::linear::Matrix;
-use super::objective::{RenderPair, relative_weights};
+use super::objective::{RenderPair, brightness, channels_of, relative_weights};
 use super::result::{FitResult, rms_against};
 use crate::base::{Error, Result, Watch};
-use crate::render::{Effort, Scene, relative_error_weight};
+use crate::render::{Effort, Scene};
 use crate::scatter::{CHANNELS, Parameters};
 use crate::session::{Configuration, Intensity, Measurements};
 
@@ -75,9 +75,10 @@ pub fn predict(
         watch,
     )?
     .scaled(fit.gain_value());
+    // The fit knows nothing of a channel that it never saw, so no brightness either.
+    let seen = channels_of(fit.configs.iter().map(|f| f.measured.map(|m| m.is_some())));
     let with = |(c, [a, b]): (&Configuration, [&crate::render::Estimate; 2])| {
         let mean = std::array::from_fn(|k| 0.5 * (a.mean[k] + b.mean[k]));
-        let brightness = relative_error_weight(mean, fit.tau).sqrt().recip();
         let [ja, jb] = [a, b].map(|e| place.jacobian(e, [1.0; CHANNELS]));
         Prediction {
             configuration: *c,
@@ -88,7 +89,8 @@ pub fn predict(
             monte_carlo_se: std::array::from_fn(|k| {
                 0.5 * a.standard_error[k].hypot(b.standard_error[k])
             }),
-            model_se: [0.01 * fit.objective.misfit_percent * brightness; CHANNELS],
+            model_se: [0.01 * fit.objective.misfit_percent * brightness(mean, seen, fit.tau);
+                CHANNELS],
             renders: [a.mean, b.mean],
             in_fit: fit.configs.iter().any(|f| same(&f.configuration, c)),
             paths: a.paths + b.paths,
@@ -197,13 +199,14 @@ impl Compared {
                 c.id
             )));
         }
+        let measured = measured.cleared();
         let residual = measured.where_present(std::array::from_fn(|k| {
             prediction.mean[k] - measured.mean[k]
         }));
         let se = prediction.standard_error();
         Ok(Self {
             prediction: prediction.clone(),
-            measured: *measured,
+            measured,
             z: std::array::from_fn(|k| {
                 residual[k].map(|r| r / se[k].hypot(measured.standard_error[k]))
             }),

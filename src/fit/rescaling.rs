@@ -205,7 +205,7 @@ fn knots(info: &ParameterInfo, options: &RescalingOptions) -> Vec<f64> {
                 info.lower
             } else if j == last {
                 info.upper
-            } else if FINE_AT_UPPER_BOUND.contains(&info.name) {
+            } else if FINE_AT_UPPER_BOUND.contains(&info.own_name()) {
                 info.upper - range * (1.0 - from_lower).powf(options.power)
             } else {
                 info.lower + range * from_lower.powf(options.power)
@@ -275,6 +275,12 @@ mod tests {
         let color = knots(&COLOR, &options);
         assert!(close(color[7], 0.999 - 0.998 / 64.0), "{color:?}");
         assert!(close(color[1], 0.999 - 0.998 * 49.0 / 64.0), "{color:?}");
+        // So is that of a yarn system.
+        let of_weft = ParameterInfo {
+            name: "weft.c_tt",
+            ..COLOR
+        };
+        assert_eq!(knots(&of_weft, &options), color);
     }
 
     /// Three knots of a parameter seen by two configurations of weights 4 and 25.

@@ -91,7 +91,7 @@ impl Loss {
 /// The weights of the next stage, one per configuration, from a fresh pair where the last one ended.
 ///
 /// # Errors
-/// When the render fails.
+/// When the render fails or is cancelled.
 pub(super) fn factors(
     problem: &Problem<'_>,
     found: &Found,
@@ -106,7 +106,7 @@ pub(super) fn factors(
         done: 0.0,
         each: 0.5,
         state: std::sync::Mutex::new((0, 0.0)),
-        interruptible: false,
+        interruptible: true,
     };
     let pair = problem.render(&found.u, paths, &found.check_shares, JUDGE_INDEX, &stretch)?;
     spent.add(paths, &pair);

@@ -9,10 +9,10 @@
 use super::bounds::Bounds;
 use super::choice::{Target, greedy};
 use super::information::{self, Place, Seen, Shot};
-use super::objective::RenderPair;
+use super::objective::{RenderPair, brightness, channels_of};
 use super::uncertainty::Samples;
 use crate::base::{Error, Result, Watch};
-use crate::render::{Effort, Estimate, Scene, relative_error_weight};
+use crate::render::{Effort, Estimate, Scene};
 use crate::scatter::{CHANNELS, Parameters, Unit};
 use crate::session::Configuration;
 use serde::Serialize;
@@ -46,7 +46,8 @@ pub struct SuggestOptions {
     pub shots: usize,
     /// What they are to make known.
     pub aim: Aim,
-    /// Standard error of a new measurement (and of a measured one of which none is known), relative to the configuration's brightness (not below tau).
+    /// Standard error of a new measurement (and of a measured one of which none is known), relative to the configuration's
+    /// brightness: its mean over the channels measured, not below tau.
     pub relative_error: f64,
     /// Brightness below which errors are no longer relative: that of the fit.
     pub tau: f64,
@@ -128,7 +129,9 @@ pub fn suggest(
     options.check(candidates)?;
     let place = Place::within(parameters, &options.bounds)?;
     let aim = Target::of(&options.aim, parameters)?;
+    let stated = measured.iter().filter_map(|(_, errors)| *errors);
     let look = Look {
+        channels: channels_of(stated.map(|errors| errors.map(|e| e.is_some()))),
         scene,
         parameters,
         place: &place,
@@ -202,6 +205,8 @@ impl SuggestOptions {
 
 /// What renders are made of.
 struct Look<'a> {
+    /// Those that a new pose is measured in: the channels of the measured ones.
+    channels: [bool; CHANNELS],
     scene: &'a dyn Scene,
     parameters: &'a Parameters,
     place: &'a Place,
@@ -237,9 +242,9 @@ impl Look<'_> {
             ..
         } = *self.options;
         let shots = Shot::of_pair(self.place, poses, &pair, |i, mean| {
-            let brightness = relative_error_weight(mean, tau).sqrt().recip();
+            let brightness = brightness(mean, self.channels, tau);
             let stated = relative_error * brightness;
-            let own = known(i).unwrap_or([Some(stated); CHANNELS]);
+            let own = known(i).unwrap_or(self.channels.map(|c| c.then_some(stated)));
             own.map(|se| {
                 let se = se.map(|s| if s > 0.0 { s } else { stated });
                 se.map(|s| s.hypot(model_error * brightness))

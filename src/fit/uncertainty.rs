@@ -3,9 +3,10 @@
 //! Near the fit the estimator is linear in the errors, so in search coordinates its covariance is the sandwich
 //! `H^-1 (J'W S W J + N) H^-1` with S the measurements' covariance and N that of the fit's Monte Carlo noise. Directions
 //! that no render distinguished from noise get no information at all: within them every point of the box is equally
-//! likely. The product of that normal density, centered at the fit, and of the box is sampled (Gibbs), and intervals are read off the samples. So a parameter on a bound gets a one-sided
-//! interval, and one the data do not see gets its whole range. Errors of different numbers are taken as independent;
-//! a scale error common to all measurements is not included.
+//! likely. The product of that normal density, centered where the fit's last step leads, and of the box is sampled
+//! (Gibbs), and intervals are read off the samples. So a parameter on a bound gets a one-sided interval, and one the data
+//! do not see gets its whole range. Errors of different numbers are taken as independent; a scale error common to all
+//! measurements is included only where a gain is one of the coordinates, with its prior's precision.
 
 use super::linear::{Matrix, dot, eigen, inverse};
 use super::pool::{Direction, LinearModel};

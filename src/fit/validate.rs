@@ -8,13 +8,13 @@
 
 use super::information::{self, Place, Seen, Shot};
 use super::linear::Matrix;
-use super::objective::{Objective, RenderPair, relative_weight};
+use super::objective::{Objective, RenderPair, brightness, relative_weight};
 use super::options::{Budget, Options};
 use super::predict::{Compared, Comparison, Prediction, compare, parameters_of, predict};
 use super::result::FitResult;
 use super::robust::Loss;
 use crate::base::{Error, Result, Watch};
-use crate::render::{Effort, Scene, relative_error_weight};
+use crate::render::{Effort, Scene};
 use crate::scatter::CHANNELS;
 use crate::session::{Configuration, Intensity, Measurements};
 
@@ -151,8 +151,10 @@ struct Linear {
     configurations: Vec<Configuration>,
     /// What the numbers of a configuration are divided by: its brightness times the relative error the fit shows.
     unit: Vec<f64>,
-    /// By the parameters that are not on a bound.
+    /// By the parameters that are not on a bound, of what was measured.
     shots: Vec<Shot>,
+    /// The same of all channels: a prediction is made of each.
+    views: Vec<Shot>,
     n_free: usize,
     /// Rendered minus measured of both renders, not whitened.
     residuals: Vec<[[f64; CHANNELS]; 2]>,
@@ -200,15 +202,15 @@ impl Linear {
         let free: Vec<usize> = (0..place.len())
             .filter(|&j| place.u[j] > place.space.lower()[j] && place.u[j] < place.space.upper()[j])
             .collect();
-        let shots = Shot::of_pair(&place, &configurations, &pair, |i, _| {
-            let present = objective.intensities()[i].present;
-            present.map(|p| p.then_some(unit[i]))
-        })?
-        .iter()
-        .map(|shot| shot.by(&free))
-        .collect();
+        let shots_of = |counts: &dyn Fn(usize) -> [bool; CHANNELS]| -> Result<Vec<Shot>> {
+            let error = |i: usize, _| counts(i).map(|c| c.then_some(unit[i]));
+            let whole = Shot::of_pair(&place, &configurations, &pair, error)?;
+            Ok(whole.iter().map(|shot| shot.by(&free)).collect())
+        };
         let measured = objective.intensities().to_vec();
         Ok(Self {
+            shots: shots_of(&|i| measured[i].present)?,
+            views: shots_of(&|_| [true; CHANNELS])?,
             residuals: pair
                 .estimates()
                 .zip(&measured)
@@ -223,7 +225,6 @@ impl Linear {
             paths: pair.estimates().map(|[a, b]| a.paths + b.paths).collect(),
             configurations,
             unit,
-            shots,
             n_free: free.len(),
             measured,
             model_error,
@@ -285,12 +286,12 @@ impl Linear {
 
     fn prediction(&self, i: usize, step: &[f64], covariance: &Matrix) -> Prediction {
         let unit = self.unit[i];
-        let moved = self.shots[i].mean().times(step);
+        let moved = self.views[i].mean().times(step);
         let renders = self.residuals[i]
             .map(|r| std::array::from_fn(|c| self.measured[i].mean[c] + r[c] + unit * moved[c]));
-        let [a, b] = self.shots[i].each();
+        let [a, b] = self.views[i].each();
         let mean: [f64; CHANNELS] = std::array::from_fn(|c| 0.5 * (renders[0][c] + renders[1][c]));
-        let model = self.model_error / relative_error_weight(mean, self.tau).sqrt();
+        let model = self.model_error * brightness(mean, self.measured[i].present, self.tau);
         Prediction {
             configuration: self.configurations[i],
             mean,

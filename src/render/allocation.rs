@@ -3,13 +3,11 @@
 use super::estimate::Moments;
 use super::light::Lamp;
 use super::scene::FiberScene;
-use super::{Effort, MIN_PATHS, relative_error_weight};
+use super::{Effort, MIN_PATHS, TAU, relative_error_weight};
 use crate::scatter::CHANNELS;
 use crate::session::Configuration;
 use glam::DVec3;
 
-/// The weights' threshold, in normalized radiance (Khungurn 2015 section 5.3).
-pub(super) const TAU: f64 = 0.02;
 /// Connections worth less than this multiple of a configuration's mean are made with smaller probability. Work to equal
 /// error is flat between 1 and 10 and a tenth higher at 0.1.
 const WORTH: f64 = 1.0;

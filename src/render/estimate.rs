@@ -8,13 +8,15 @@
 //! derivatives are unbiased.
 
 use super::allocation::{
-    Group, TAU, groups, paths_for_accuracy, planned_paths, weighted_variance, worth,
+    Group, groups, paths_for_accuracy, planned_paths, weighted_variance, worth,
 };
 use super::guide::{Guide, Lesson, Pupil};
 use super::path::Visitor;
 use super::scene::FiberScene;
 use super::summation::{Rows, Summation, Sums};
-use super::{Effort, Estimate, Estimates, MIN_PATHS, Request, relative_error_weight, weighted_rms};
+use super::{
+    Effort, Estimate, Estimates, MIN_PATHS, Request, TAU, relative_error_weight, weighted_rms,
+};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
 use crate::scatter::{CHANNELS, Parameters, Scattering};

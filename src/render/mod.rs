@@ -172,6 +172,9 @@ pub trait Recall: Send + Sync {
     fn recall(&self, parameters: &Parameters) -> Result<Recalled>;
 }
 
+/// Configurations darker than this, in normalized radiance, get no more weight (Khungurn 2015 eq. 20).
+pub const TAU: f64 = 0.02;
+
 /// The weight of a configuration with channel means `mean` (Khungurn 2015 eq. 20): `1 / max(mean over channels, tau)^2`.
 pub fn relative_error_weight(mean: [f64; 3], tau: f64) -> f64 {
     let brightness = (mean[0] + mean[1] + mean[2]) / 3.0;

@@ -1,7 +1,6 @@
 //! What a picture is: numbers per pixel of a part of the sample, with standard errors. [`super::image`] makes them.
 
-use super::allocation::TAU;
-use super::relative_error_weight;
+use super::{TAU, relative_error_weight};
 use crate::base::{Error, Result};
 use crate::scatter::{CHANNELS, Parameters};
 use crate::session::Configuration;

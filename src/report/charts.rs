@@ -10,11 +10,13 @@ pub(super) const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 /// Measured against rendered intensity, both logarithmic, with error bars of one standard error.
 pub(super) fn scatter(result: &FitResult) -> String {
     let mut d = Drawing::new(WIDTH, 400.0, "Rendered against measured intensities");
-    let values = result
-        .configs
-        .iter()
-        .flat_map(|c| c.measured.into_iter().flatten().chain(c.rendered));
-    let (low, high) = log_range(values);
+    let numbers = result.configs.iter().flat_map(|c| {
+        let rendered = c.rendered.into_iter();
+        c.measured.into_iter().zip(rendered)
+    });
+    // A channel that was not measured has no mark.
+    let shown = numbers.filter_map(|(m, r)| Some([m?, r]));
+    let (low, high) = log_range(shown.flatten());
     let x = Axis {
         scale: Scale::Logarithmic,
         low,

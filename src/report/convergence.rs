@@ -128,9 +128,9 @@ fn outline(mark: usize, x: f64, y: f64, r: f64) -> String {
     }
 }
 
-/// An SVG file: weighted rms residual with bars of one standard error against CPU seconds, both logarithmic. Where it is below the axis
-/// there is only the bar. A hollow mark is an
-/// iteration that the search did not go on from, the large one the final check on fresh renders.
+/// An SVG file: weighted rms residual with bars of one standard error against CPU seconds, both logarithmic. Where it is
+/// below the axis there is only the bar. A hollow mark is an iteration that the search did not go on from, the large one the
+/// final check on fresh renders.
 pub fn convergence_chart(courses: &[Course]) -> String {
     let height = HEIGHT + LINE * courses.len() as f64;
     let mut d = Drawing::new(WIDTH, height, "Residual against CPU seconds");

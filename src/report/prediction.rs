@@ -19,8 +19,8 @@ pub fn prediction_chart(comparison: &Comparison) -> String {
         "Predicted against measured intensities",
     );
     let values = |r: &Compared| {
-        let measured = r.measured.where_present(r.measured.mean);
-        measured.into_iter().flatten().chain(r.prediction.mean)
+        let both = [r.measured.mean, r.prediction.mean].map(|of| r.measured.where_present(of));
+        both.into_iter().flatten().flatten()
     };
     let (low, high) = log_range(comparison.rows.iter().flat_map(values));
     for k in 0..3 {

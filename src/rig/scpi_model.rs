@@ -90,11 +90,6 @@ impl ScpiModel {
         self.current_a
     }
 
-    /// Makes the device disappear now.
-    pub fn vanish(&mut self) {
-        self.gone = true;
-    }
-
     fn has(&self, fault: ScpiFault) -> bool {
         self.faults.contains(&fault)
     }

@@ -7,7 +7,7 @@
 use super::piecewise::Piecewise;
 use crate::math::GaussLegendre;
 use crate::math::special::{normal_density, normal_probability};
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Coefficients of `Q(t) = sum_k Q_k t^k`, t in radians (Khungurn 2015, Appendix A).
 const Q: [f64; 9] = [
@@ -147,11 +147,6 @@ impl NormalizerTable {
     pub fn mass(&self, t: f64) -> f64 {
         self.mass.at(t.abs())[0]
     }
-}
-
-/// The unit-area Gaussian `g(t; 0, sigma)`.
-pub fn gaussian(t: f64, sigma: f64) -> f64 {
-    (-0.5 * (t / sigma).powi(2)).exp() / (sigma * TAU.sqrt())
 }
 
 #[cfg(test)]

@@ -34,11 +34,16 @@ impl ParameterInfo {
     /// The key in parameter files: the name without its yarn system, which has an object of its own there, with `_deg` for
     /// angles.
     pub fn file_key(&self) -> String {
-        let name = self.name.rsplit('.').next().unwrap_or(self.name);
+        let name = self.own_name();
         match self.unit {
             Unit::One => name.to_owned(),
             Unit::Angle => format!("{name}_deg"),
         }
+    }
+
+    /// The name without its yarn system.
+    pub fn own_name(&self) -> &'static str {
+        self.name.rsplit('.').next().unwrap_or(self.name)
     }
 
     /// The yarn system whose fibers it describes; none when it describes all.

@@ -28,6 +28,17 @@ impl Intensity {
     pub fn where_present<T: Copy>(&self, of: [T; 3]) -> [Option<T>; 3] {
         std::array::from_fn(|c| self.present[c].then_some(of[c]))
     }
+
+    /// The same with zeros for numbers that were not measured: whatever stood there cannot enter a sum.
+    #[must_use]
+    pub fn cleared(&self) -> Self {
+        let clear = |x: [f64; 3]| self.where_present(x).map(|x| x.unwrap_or(0.0));
+        Self {
+            mean: clear(self.mean),
+            standard_error: clear(self.standard_error),
+            ..*self
+        }
+    }
 }
 
 /// All intensities of a session, one per configuration.

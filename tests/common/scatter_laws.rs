@@ -36,6 +36,11 @@ pub(crate) fn direction_deg(theta: f64, phi: f64) -> DVec3 {
     fiber_direction(theta.to_radians(), phi.to_radians())
 }
 
+/// The unit-area Gaussian `g(t; 0, sigma)`.
+pub(crate) fn gaussian(t: f64, sigma: f64) -> f64 {
+    (-0.5 * (t / sigma).powi(2)).exp() / (sigma * (2.0 * PI).sqrt())
+}
+
 // ---- derivatives ---------------------------------------------------------------------------------------------------
 
 /// Largest difference between `derivative` and finite differences of the value, over all parameters and channels,

@@ -3,6 +3,7 @@
 #![allow(dead_code, unreachable_pub, missing_docs)]
 
 use goniofit::base::{Error, Result, Watch};
+use goniofit::fit::{Budget, Options};
 use goniofit::math::{PolarDirection, Random, statistics::Running};
 use goniofit::render::{Effort, Estimate, Estimates, Request, Scene};
 use goniofit::scatter::{Model, ParameterInfo, Parameters, Scattering, Unit};
@@ -316,4 +317,13 @@ pub fn seed(default: u64) -> u64 {
         .ok()
         .and_then(|s| s.parse().ok())
         .unwrap_or(default)
+}
+
+/// A fit with this many camera paths.
+pub fn options(seed: u64, paths: u64) -> Options {
+    let budget = Budget {
+        paths: Some(paths),
+        ..Budget::default()
+    };
+    Options::new(seed, budget)
 }

@@ -24,7 +24,7 @@ pub(crate) struct Inputs {
     start: Option<String>,
     /// What the session around the measurements says of light and sample, and what lies under the cloth.
     session: String,
-    /// Limits, method, tolerance, schedule.
+    /// Limits, method, tolerance, schedule, loss, gain.
     options: serde_json::Value,
 }
 

@@ -351,6 +351,7 @@ fn word(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::fit_all::inputs::{Hashes, Inputs};
 
     fn ids(text: &str) -> Vec<String> {
         let tasks = parse(text, Path::new("lists")).unwrap();
@@ -404,6 +405,34 @@ mod tests {
         let own = &tasks[3].asked;
         assert_eq!(own.measurements, Path::new("/far/c.csv"));
         assert_eq!((own.paths, own.time, own.seed), (Some(5), None, 9));
+    }
+
+    #[test]
+    fn any_other_option_makes_other_inputs() {
+        let head = "measurements = ['a.csv']\nfabrics = ['x.toml']\n[[options]]\nmethod = 'adam'\n";
+        let inputs = |more: &str| {
+            let tasks = parse(&format!("{head}{more}\n"), Path::new("")).unwrap();
+            Inputs::of(&tasks[0].asked, &mut Hashes::default())
+        };
+        let plain = inputs("");
+        assert!(inputs("").changed_since(&plain).is_empty());
+        // What is written out as it is anyhow is no change.
+        let usual = inputs("loss = 'squared'\ntolerance = 0.05");
+        assert!(usual.changed_since(&plain).is_empty());
+        for other in [
+            "paths = 5",
+            "time = 9",
+            "accuracy = 0.02",
+            "tolerance = 0.04",
+            "iteration_paths = 9",
+            "iterations = 7",
+            "rates = [0.2]",
+            "loss = 'huber:2'",
+            "gain_prior = 0.05",
+        ] {
+            let changed = inputs(other).changed_since(&plain);
+            assert_eq!(changed, ["options"], "{other}");
+        }
     }
 
     #[test]

@@ -91,11 +91,12 @@ impl std::fmt::Debug for Recording {
 }
 
 impl FiberScene {
-    /// Traces the request's paths as [`super::Scene::estimate`] does with [`Integrator::Fast`] and records them. Without defensive sampling they are the
-    /// same paths.
+    /// Traces the request's paths as [`super::Scene::estimate`] does with [`Integrator::Fast`] and records them. Without
+    /// defensive sampling they are the same paths.
     ///
     /// # Errors
-    /// As [`super::Scene::estimate`]; when the integrator is another; when the options have no meaning; when the recording would exceed its budget.
+    /// As [`super::Scene::estimate`]; when the integrator is another; when the options have no meaning; when the recording
+    /// would exceed its budget.
     pub fn record(
         &self,
         request: &Request<'_>,

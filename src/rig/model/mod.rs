@@ -180,11 +180,6 @@ impl GrblModel {
         self.gone
     }
 
-    /// Makes the device disappear now.
-    pub fn vanish(&mut self) {
-        self.gone = true;
-    }
-
     /// True while the spindle output (the lamp) is on.
     pub fn spindle_on(&self) -> bool {
         self.modal.spindle != 5

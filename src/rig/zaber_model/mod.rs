@@ -58,11 +58,6 @@ impl ZaberModel {
         }
     }
 
-    /// Makes the device disappear now.
-    pub fn vanish(&mut self) {
-        self.gone = true;
-    }
-
     /// Switches it off and on at the time last heard of.
     pub fn restart(&mut self) {
         self.since = self.now;
