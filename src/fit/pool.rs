@@ -18,6 +18,9 @@ use super::objective::{ChannelCorrelation, Objective, RenderPair, channel_correl
 use super::space::SearchSpace;
 use crate::scatter::{CHANNELS, Parameters};
 
+/// By how much the curvature for a step is raised along each coordinate.
+const MARQUARDT: f64 = 0.05;
+
 /// One render, in search coordinates.
 #[derive(Debug, Clone)]
 struct Record {
@@ -384,14 +387,14 @@ impl LinearModel {
     }
 
     /// The curvature for a step: the Gram matrix of the averaged Jacobian, which noise can only enlarge, with its diagonal
-    /// raised by the factor 1 + `damping` (Marquardt 1963).
-    pub(super) fn marquardt_curvature(&self, damping: f64) -> Matrix {
+    /// raised a little (Marquardt 1963).
+    pub(super) fn marquardt_curvature(&self) -> Matrix {
         let mut curvature = self.jacobian.weighted_gram(&self.weights, &self.jacobian);
         if let Some(prior) = self.prior {
             curvature[(prior.place, prior.place)] += prior.curvature;
         }
         for j in 0..curvature.n_rows() {
-            curvature[(j, j)] = (1.0 + damping) * curvature[(j, j)] + 1e-12;
+            curvature[(j, j)] = (1.0 + MARQUARDT) * curvature[(j, j)] + 1e-12;
         }
         curvature
     }

@@ -13,7 +13,7 @@ use super::linear::box_quadratic;
 use super::objective::{Objective, RenderPair, relative_weights};
 use super::options::Options;
 use super::pool::Pool;
-use super::search::{DAMPING, Found, Problem, Spent, Stretch};
+use super::search::{Found, Problem, Spent, Stretch};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
 use crate::scatter::CHANNELS;
@@ -136,7 +136,7 @@ fn moved(problem: &Problem<'_>, objective: &Objective, u: &[f64], pair: &RenderP
         bounds.iter().zip(u).map(room).collect()
     };
     let step = box_quadratic(
-        &model.marquardt_curvature(DAMPING.1),
+        &model.marquardt_curvature(),
         &model.gradient,
         &side(space.lower()),
         &side(space.upper()),

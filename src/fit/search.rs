@@ -21,17 +21,15 @@ use crate::render::{Effort, Scene};
 pub(super) const SEARCH_SHARE: f64 = 0.8;
 /// Farthest a coordinate may move in one step, at first, at least and at most.
 const TRUST: (f64, f64, f64) = (0.8, 0.05, 1.5);
-/// Least and most by which a step's curvature is raised (Marquardt 1963), and the noise from which on it is the most.
-pub(super) const DAMPING: (f64, f64) = (0.003, 0.05);
-const DAMPED_NOISE: f64 = 0.05;
-/// A step is lost in its noise when it moves the fitted means by no more than this many standard errors.
-const AT_REST: f64 = 2.0;
+/// Renders are near each other, near enough for one linear model, when the step between them moves the fitted means by no
+/// more than so many standard errors.
+const NEAR: f64 = 5.0;
 /// How far from the minimum a coordinate is thought to be when a step is weighed against its noise.
 pub(super) const REACH: f64 = 0.6;
 /// Growth of the path count from pair to pair while averaging.
 const GROWTH: f64 = 1.5;
-/// The descent ends when so many steps in turn were lost in their noise.
-const SETTLED: usize = 2;
+/// The descent ends when the mean of this many objectives is not clearly below that of as many before.
+const TREND: usize = 3;
 /// How many pairs are averaged: with the growth above the last three hold 70 % of all paths.
 const AVERAGED: usize = 3;
 /// The descent takes at most this share of the budget.
@@ -206,10 +204,12 @@ struct State<'a> {
     base: Vec<f64>,
     trust: f64,
     descending: bool,
-    /// How many of the last steps were lost in their noise: renders around such make one linear model.
-    at_rest: usize,
+    /// Whether the last step was short.
+    near: bool,
     /// The best pair of the descent: its pool, place and paired objective.
     best: Option<(Pool, Vec<f64>, PairedValue)>,
+    /// Paired objectives of the descent.
+    values: Vec<PairedValue>,
 }
 
 /// A step, and what is known where it leads.
@@ -234,8 +234,9 @@ impl<'a> State<'a> {
             base: start.to_vec(),
             trust: TRUST.0,
             descending: true,
-            at_rest: 0,
+            near: false,
             best: None,
+            values: Vec::new(),
         }
     }
 
@@ -246,7 +247,7 @@ impl<'a> State<'a> {
         } = self.problem;
         let value = objective.paired(pair);
         let parameters = space.to_parameters(&self.u);
-        let averaging = !self.descending && self.at_rest > 0;
+        let averaging = !self.descending && self.near;
         let kept = if averaging { AVERAGED - 1 } else { 0 };
         self.pool.keep_latest(kept);
         self.pool.push(space, &self.u, &parameters, objective, pair);
@@ -254,6 +255,7 @@ impl<'a> State<'a> {
         if !self.descending {
             return true;
         }
+        self.values.push(value);
         if let Some((pool, u, best)) = &self.best {
             let noise = value.standard_error.hypot(best.standard_error);
             if value.value - best.value > 3.0 * noise {
@@ -274,18 +276,28 @@ impl<'a> State<'a> {
         true
     }
 
+    /// True while the paired objectives of the descent still fall beyond their noise.
+    fn still_falls(&self) -> bool {
+        let Some(first) = self.values.len().checked_sub(2 * TREND) else {
+            return true;
+        };
+        let mean =
+            |values: &[PairedValue]| values.iter().map(|v| v.value).sum::<f64>() / TREND as f64;
+        let (before, now) = self.values[first..].split_at(TREND);
+        let variance: f64 = self.values[first..]
+            .iter()
+            .map(|v| v.standard_error.powi(2))
+            .sum();
+        mean(before) - mean(now) > variance.sqrt() / TREND as f64
+    }
+
     /// Minimizes the pool's model inside the bounds and the trust region; `None` when its curvature is not usable.
     fn step(&mut self) -> Option<Step> {
         let Problem {
             objective, space, ..
         } = self.problem;
         let model = self.pool.model();
-        let damped = model.damped_curvature(REACH);
-        let inverse_curvature = inverse(&damped)?;
-        let fitted =
-            |noise: &Matrix| model.fitted_rms(&inverse_curvature, noise, self.pool.weights());
-        let (noise, measured) = (fitted(&model.monte_carlo), fitted(&model.measurement));
-        let curvature = model.marquardt_curvature(damping(noise));
+        let curvature = model.marquardt_curvature();
         let gradient = model.gradient_at(&self.base, &model.curvature);
         let side = |bounds: &[f64], toward: f64| -> Vec<f64> {
             let room = |(bound, base): (&f64, &f64)| {
@@ -296,32 +308,26 @@ impl<'a> State<'a> {
         let (lower, upper) = (side(space.lower(), -1.0), side(space.upper(), 1.0));
         let step = box_quadratic(&curvature, &gradient, &lower, &upper);
         let next: Vec<f64> = self.base.iter().zip(&step).map(|(b, s)| b + s).collect();
+        let damped = model.damped_curvature(REACH);
+        let inverse_curvature = inverse(&damped)?;
         if step.iter().any(|s| s.abs() > 0.99 * self.trust) {
             self.trust = (1.3 * self.trust).min(TRUST.2);
         }
+        let fitted =
+            |noise: &Matrix| model.fitted_rms(&inverse_curvature, noise, self.pool.weights());
         let moved = (curvature.form(&step, &step) / objective.n_numbers() as f64).sqrt();
-        self.at_rest = if moved <= AT_REST * noise {
-            self.at_rest + 1
-        } else {
-            0
-        };
+        let noise = fitted(&model.monte_carlo);
+        self.near = moved <= NEAR * noise;
         Some(Step {
             u: space.clamped(&next),
             moved,
             noise,
-            measured,
+            measured: fitted(&model.measurement),
             model,
             curvature: damped,
             inverse_curvature,
         })
     }
-}
-
-/// By how much the curvature of a step is raised along each coordinate, given the Monte Carlo part of the fitted means'
-/// relative error: a noisy pair must not make the step along a valley that a good one can.
-fn damping(noise: f64) -> f64 {
-    let (least, most) = DAMPING;
-    (most * (noise / DAMPED_NOISE).powi(2)).clamp(least, most)
 }
 
 /// Runs the search from `start`.
@@ -396,7 +402,7 @@ pub(super) fn search(
             break;
         }
         if state.descending
-            && (state.at_rest >= SETTLED || spent.left(&options.budget, DESCENT_SHARE) == Some(0))
+            && (!state.still_falls() || spent.left(&options.budget, DESCENT_SHARE) == Some(0))
         {
             state.descending = false;
         }
