@@ -47,6 +47,9 @@ const RECORDED: &str = "mocks/khungurn16_gabardine/truth.json";
 /// Residuals whose time is asked for, percent.
 const TARGETS: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
 
+/// Seconds a fit may take.
+const USUAL_TIME_S: f64 = 30.0;
+
 /// Weighted rms error of a reference.
 const REFERENCE: f64 = 0.002;
 /// The same of each render of the pair that judges a result: first the coarse one, then the fine one where the residual is
@@ -126,7 +129,7 @@ fn main() {
     let quick = arguments.has("--quick");
     let seeds: u64 =
         (arguments.value("--seeds")).map_or(if quick { 2 } else { 10 }, |n| n.parse().unwrap());
-    let time: f64 = (arguments.value("--time")).map_or(30.0, |t| t.parse().unwrap());
+    let time: f64 = (arguments.value("--time")).map_or(USUAL_TIME_S, |t| t.parse().unwrap());
     let only = arguments.value("--only").or(quick.then_some("gabardine"));
     let mut cases = Vec::new();
     for (fabric, fibers) in FABRICS {
@@ -333,9 +336,13 @@ impl Case {
             ..Options::new(seed, budget)
         };
         let load = load();
+        let usual = time.to_bits() == USUAL_TIME_S.to_bits();
         Run {
             fabric: self.fabric,
-            method,
+            method: match usual {
+                true => method.name().to_owned(),
+                false => format!("{}, {time} s", method.name()),
+            },
             seed,
             result: fit(&self.scene, &self.measurements(), &options, &Unwatched).unwrap(),
             load,
@@ -362,7 +369,8 @@ impl Case {
 /// A fit, not judged yet.
 struct Run {
     fabric: &'static str,
-    method: Method,
+    /// With the seconds where these are not the usual ones.
+    method: String,
     seed: u64,
     result: FitResult,
     load: f64,
@@ -459,7 +467,7 @@ impl<'a> Judge<'a> {
                 Some(bad) => curve.get(bad + 1),
             };
             Row {
-                method: run.method.name().to_owned(),
+                method: run.method.clone(),
                 fabric: self.case.fabric.to_owned(),
                 seed: run.seed,
                 target_residual: target,
