@@ -11,6 +11,7 @@ pub mod chiang;
 mod defensive;
 mod direction;
 pub mod khungurn;
+pub mod media;
 pub mod normalizer;
 mod parameters;
 mod per_system;
