@@ -7,7 +7,7 @@
 //!
 //! `gamma` is a standard deviation in the cosine to the fiber, not an angle. Flakes have two equal sides: D and s are even.
 
-use crate::math::special::erf_inv;
+use crate::math::special::{erf_inv, erfc_inv};
 use crate::math::{GaussLegendre, Random};
 use crate::scatter::direction::FiberAngles;
 use crate::scatter::piecewise::Piecewise;
@@ -31,8 +31,9 @@ const MOST_PROPOSALS: usize = 128;
 #[derive(Debug, Clone)]
 pub struct FlakeDistribution {
     gamma: f64,
-    /// `erf(1/(sqrt2 gamma))`.
+    /// `erf(1/(sqrt2 gamma))`, and one minus that, which is not lost where the former rounds to 1.
     error: f64,
+    error_complement: f64,
     /// `1 - exp(-1/(2 gamma^2))`.
     complement: f64,
     /// D on the plane across the fiber.
@@ -64,6 +65,7 @@ impl FlakeDistribution {
         let mut flakes = Self {
             gamma,
             error,
+            error_complement: libm::erfc(FRAC_1_SQRT_2 / gamma),
             complement,
             peak: 1.0 / (TAU * TAU.sqrt() * gamma * error),
             half_inverse_square,
@@ -151,15 +153,25 @@ impl FlakeDistribution {
         sum
     }
 
-    /// The cosine to the fiber below which a share `1 - xi` of all flakes lies: the closed inverse of Zhao 2011's F(theta).
-    /// `xi` in [0, 1]; the ends give exactly 1 and -1, where `erf` alone would not know how far to go.
+    /// The cosine to the fiber above which a share `xi` in [0, 1] of all flakes lies: the closed inverse of Zhao 2011's F(theta). The
+    /// ends are 1 and -1, where `erf` alone would not know how far to go.
     pub fn cosine(&self, xi: f64) -> f64 {
-        self.quantile(1.0 - 2.0 * xi)
+        if xi < 0.5 {
+            self.quantile(1.0 - 2.0 * xi, 2.0 * xi)
+        } else {
+            -self.quantile(2.0 * xi - 1.0, 2.0 * (1.0 - xi))
+        }
     }
 
-    /// The cosine `mu` with `int_0^mu = x/2`: `x` in [-1, 1] of the flakes lie within it.
-    fn quantile(&self, x: f64) -> f64 {
-        (SQRT_2 * self.gamma * erf_inv(x * self.error)).clamp(-1.0, 1.0)
+    /// The cosine within which a share `inside` of the flakes lies; `inside + outside = 1`.
+    fn quantile(&self, inside: f64, outside: f64) -> f64 {
+        let y = if inside < 0.5 {
+            erf_inv(inside * self.error)
+        } else {
+            erfc_inv(outside + inside * self.error_complement)
+        };
+        // Rounding alone, and the infinity where 1 is many gammas away.
+        (SQRT_2 * self.gamma * y).min(1.0)
     }
 
     /// A flake normal `m` from the flakes that a beam along `wo` (of these angles) sees: density `|wo . m| D(m) / s(wo)`, and
@@ -176,7 +188,7 @@ impl FlakeDistribution {
             let mu = if random.uniform() * (along + s) < along {
                 (self.gamma * (-2.0 * (-u * self.complement).ln_1p()).sqrt()).min(1.0)
             } else {
-                self.quantile(u)
+                self.quantile(u, 1.0 - u)
             };
             let across = ((1.0 - mu) * (1.0 + mu)).sqrt();
             let (sin_psi, cos_psi) = (TAU * random.uniform()).sin_cos();
