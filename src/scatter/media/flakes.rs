@@ -17,6 +17,9 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI, SQRT_2, TAU};
 /// Beyond this many gammas the Gaussian is below 2e-16 of its peak.
 const REACH: f64 = 8.5;
 
+/// Nodes in each part of the integral over mu.
+const NODES: usize = 64;
+
 /// Pieces of the table of s.
 const PIECES: usize = 24;
 
@@ -77,13 +80,14 @@ impl FlakeDistribution {
             stretch: STRETCH * gamma.min(1.0),
             table: Piecewise::new(1, |_| [0.0; 2]),
         };
-        flakes.across = flakes.integrate(1.0)[0];
+        let rule = GaussLegendre::new(NODES);
+        flakes.across = flakes.integrate_by(&rule, 1.0)[0];
         flakes.flattening = (flakes.along / flakes.across).powi(2);
         let k = flakes.stretch;
         flakes.table = Piecewise::new(PIECES, |v| {
             let sine = k * v / (1.0 + k - v);
             let ellipse = flakes.ellipse(sine);
-            flakes.integrate(sine).map(|x| x / ellipse)
+            flakes.integrate_by(&rule, sine).map(|x| x / ellipse)
         });
         flakes
     }
@@ -124,10 +128,13 @@ impl FlakeDistribution {
     /// The azimuth integrates in closed form: with A = |mu cos theta| and B = sin theta sqrt(1 - mu^2) it is `2 pi A` where
     /// A >= B, else `4 (sqrt(B^2 - A^2) + A asin(A/B))`; and `B^2 - A^2 = sin^2 theta - mu^2`.
     pub fn integrate(&self, sine: f64) -> [f64; 2] {
+        self.integrate_by(&GaussLegendre::new(NODES), sine)
+    }
+
+    fn integrate_by(&self, rule: &GaussLegendre, sine: f64) -> [f64; 2] {
         let cosine = ((1.0 - sine) * (1.0 + sine)).max(0.0).sqrt();
         let end = (REACH * self.gamma).min(1.0);
         let kink = sine.min(end);
-        let rule = GaussLegendre::new(64);
         let mut sum = [0.0; 2];
         for (low, high) in [(0.0, kink), (kink, end)] {
             if high <= low {

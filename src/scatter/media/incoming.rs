@@ -43,7 +43,7 @@ pub(super) struct Incoming {
 }
 
 impl Incoming {
-    /// Precomputes tables and bounds: about 4 ms at 1 degree, growing as the inverse of the width.
+    /// Precomputes tables and bounds: about 3 ms at 1 degree, growing as the inverse of the width.
     pub(super) fn new(lobe: &LongitudinalLobe) -> Self {
         let width = lobe.width;
         let nodes = Node::all(lobe);
