@@ -1,4 +1,5 @@
-//! Time of one evaluation and one sample of every model, beside the error against 30-digit values.
+//! Time of one evaluation and one sample of every model of fibers and of media, beside the error against 25- and 30-digit
+//! values.
 //!
 //! `cargo bench --bench scatter_speed`
 
@@ -11,6 +12,7 @@
 
 use glam::DVec3;
 use goniofit::math::Random;
+use goniofit::scatter::media::{KhungurnVolume, MediumModel, Microflake};
 use goniofit::scatter::{Chiang, Khungurn, Model, Parameters, fiber_direction};
 use serde_json::Value;
 use std::hint::black_box;
@@ -44,6 +46,115 @@ fn main() {
         let name = format!("chiang beta_m {beta_m}, beta_n {beta_n}");
         report(&Chiang, &name, vec![0.8, 0.5, 0.2, beta_m, beta_n]);
     }
+    media();
+}
+
+/// Prints the times of media, beside the error of flakes against 25-digit values.
+fn media() {
+    let golden: Value =
+        serde_json::from_str(include_str!("../tests/data/microflake.json")).unwrap();
+    let areas = golden["projected_area"].as_array().unwrap();
+    println!(
+        "\nmicroflake: largest |error| / s over {} rows: {:.1e}",
+        areas.len(),
+        worst_area(areas)
+    );
+    println!(
+        "{:>32} {:>12} {:>12} {:>12} {:>12} {:>12}",
+        "", "prepare us", "extinct. ns", "evaluate ns", "importance ns", "sample ns"
+    );
+    for gamma in [0.005, 0.013, 0.1, 1.5] {
+        let values = vec![0.9, 0.4, 0.1, gamma];
+        report_medium(&Microflake, &format!("microflake gamma {gamma}"), values);
+    }
+    // Fits of Khungurn 2015, Table IV 4b, and the defaults.
+    for (name, colors, widths_deg, albedo) in [
+        (
+            "defaults",
+            [[0.1; 3], [0.85; 3]],
+            [5.0, 10.0, 10.0],
+            [0.85; 3],
+        ),
+        (
+            "gabardine",
+            [[0.11, 0.035, 0.048], [0.868, 0.633, 0.592]],
+            [5.034, 10.0, 23.902],
+            [0.993, 0.651, 0.698],
+        ),
+        (
+            "silk",
+            [[0.992, 0.001, 0.034], [0.002, 0.69, 0.57]],
+            [1.0, 10.0, 13.9],
+            [0.94, 0.746, 0.773],
+        ),
+    ] {
+        let widths = widths_deg.map(f64::to_radians);
+        let values = [colors[0], colors[1], widths, albedo].concat();
+        report_medium(&KhungurnVolume, &format!("volume {name}"), values);
+    }
+}
+
+/// Prints one row of times of a medium.
+fn report_medium(model: &dyn MediumModel, name: &str, values: Vec<f64>) {
+    let parameters = model.defaults().with_values(values);
+    let prepare = best_of(3, 5, || {
+        black_box(model.prepare(black_box(&parameters)).unwrap());
+    });
+    let medium = model.prepare(&parameters).unwrap();
+    let mut random = Random::keyed(&[1]);
+    let pairs = pairs(&mut random);
+    let mut next = 0;
+    let mut pair = || {
+        next = (next + 1) % pairs.len();
+        black_box(pairs[next])
+    };
+    let carried = [1.0, 0.7, 0.4];
+    let extinction = best_of(7, 400_000, || {
+        black_box(medium.extinction(pair().0));
+    });
+    let evaluate = best_of(7, 400_000, || {
+        let (wi, wo, _) = pair();
+        black_box(medium.evaluate(wi, wo));
+    });
+    let value = best_of(7, 400_000, || {
+        let (wi, wo, _) = pair();
+        black_box(medium.importance(wi, &medium.outgoing(wo, carried)));
+    });
+    let sample = best_of(7, 200_000, || {
+        let (_, wo, _) = pair();
+        black_box(medium.sample(&medium.outgoing(wo, carried), &mut random));
+    });
+    println!(
+        "{name:>32} {:>12.0} {extinction:>12.1} {evaluate:>12.1} {value:>12.1} {sample:>12.1}",
+        prepare / 1e3
+    );
+}
+
+fn worst_area(rows: &[Value]) -> f64 {
+    rows.iter()
+        .map(|row| {
+            let number = |k: usize| row[k].as_f64().unwrap();
+            let values = vec![1.0, 1.0, 1.0, number(0)];
+            let medium = Microflake.prepare(&Microflake.defaults().with_values(values));
+            let theta = std::f64::consts::FRAC_PI_2 - number(1).to_radians();
+            let w = fiber_direction(theta, 0.0);
+            (medium.unwrap().extinction(w) / number(2) - 1.0).abs()
+        })
+        .fold(0.0, f64::max)
+}
+
+/// Pairs of directions and places across the fiber.
+fn pairs(random: &mut Random) -> Vec<(DVec3, DVec3, f64)> {
+    (0..4096)
+        .map(|_| {
+            let mut w = || {
+                let sin: f64 = 2.0 * random.uniform() - 1.0;
+                fiber_direction(sin.asin(), std::f64::consts::TAU * random.uniform())
+            };
+            let (wi, wo) = (w(), w());
+            (wi, wo, 2.0 * random.uniform() - 1.0)
+        })
+        .collect()
 }
 
 fn rows(text: &str) -> Vec<Value> {
@@ -59,16 +170,7 @@ fn report(model: &dyn Model, name: &str, values: Vec<f64>) {
     });
     let scattering = model.prepare(&parameters).unwrap();
     let mut random = Random::keyed(&[1]);
-    let pairs: Vec<(DVec3, DVec3, f64)> = (0..4096)
-        .map(|_| {
-            let mut w = || {
-                let sin: f64 = 2.0 * random.uniform() - 1.0;
-                fiber_direction(sin.asin(), std::f64::consts::TAU * random.uniform())
-            };
-            let (wi, wo) = (w(), w());
-            (wi, wo, 2.0 * random.uniform() - 1.0)
-        })
-        .collect();
+    let pairs = pairs(&mut random);
     let mut next = 0;
     let mut pair = || {
         next = (next + 1) % pairs.len();

@@ -73,6 +73,18 @@ impl FiberAngles {
         }
     }
 
+    /// The direction of this sine and cosine of theta whose azimuth lies the angle of `cos_az` and `sin_az` beyond the opposite of
+    /// this one's.
+    #[inline]
+    pub(super) fn beyond(&self, sin_theta: f64, cos_theta: f64, cos_az: f64, sin_az: f64) -> Self {
+        Self::of_parts(
+            sin_theta,
+            cos_theta,
+            -(self.az_y * cos_az - self.az_z * sin_az),
+            -(self.az_z * cos_az + self.az_y * sin_az),
+        )
+    }
+
     /// `(1 - cos theta)^5`.
     #[inline]
     pub(super) fn schlick(&self) -> f64 {

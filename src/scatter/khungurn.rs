@@ -48,7 +48,7 @@ const PARAMETERS: &[ParameterInfo] = &[
     width("gamma_tt", 1.0, 45.0, 10.0),
 ];
 
-const fn color(name: &'static str, default: f64) -> ParameterInfo {
+pub(super) const fn color(name: &'static str, default: f64) -> ParameterInfo {
     ParameterInfo {
         name,
         per_channel: true,
@@ -59,7 +59,7 @@ const fn color(name: &'static str, default: f64) -> ParameterInfo {
     }
 }
 
-const fn width(
+pub(super) const fn width(
     name: &'static str,
     lower_deg: f64,
     upper_deg: f64,
@@ -94,7 +94,7 @@ const LEAST_SHARE: f64 = 0.05;
 
 /// Least color by which paths are followed: at a color of zero, a path carries derivatives where it carries no light. So it
 /// does where C_R = 1 leaves nothing to transmit.
-const LEAST_COLOR: f64 = 0.01;
+pub(super) const LEAST_COLOR: f64 = 0.01;
 
 /// Most points of a light that are looked at.
 const MOST_LIGHT_POINTS: usize = 16;
@@ -106,9 +106,9 @@ pub struct KhungurnScattering {
     c_tt: [f64; CHANNELS],
     /// The colors by which paths are sampled and followed.
     followed: [[f64; CHANNELS]; 2],
-    r: LongitudinalLobe,
-    tt: LongitudinalLobe,
-    azimuthal: VonMises,
+    pub(super) r: LongitudinalLobe,
+    pub(super) tt: LongitudinalLobe,
+    pub(super) azimuthal: VonMises,
     /// `2 atan(t)` on [0, 1], good to 3e-15.
     angle: Piecewise<1>,
 }
@@ -124,7 +124,7 @@ impl KhungurnScattering {
     pub fn new(parameters: &Parameters) -> Result<Self> {
         for info in PARAMETERS {
             for value in parameters.channels(info.name) {
-                check(info, value)?;
+                check("khungurn", info, value)?;
             }
         }
         let (c_r, c_tt) = (parameters.channels("c_r"), parameters.channels("c_tt"));
@@ -167,7 +167,7 @@ impl KhungurnScattering {
 
     /// The longitudinal angle.
     #[inline]
-    fn theta(&self, w: &FiberAngles) -> f64 {
+    pub(super) fn theta(&self, w: &FiberAngles) -> f64 {
         self.angle.at(w.t.abs())[0].copysign(w.t)
     }
 
@@ -189,7 +189,7 @@ impl KhungurnScattering {
 
     /// The lobes at a pair of directions whose longitudinal angles add up to `delta`, each with strength 1.
     #[inline]
-    fn lobes_at(&self, i: &FiberAngles, o: &FiberAngles, delta: f64) -> Lobes {
+    pub(super) fn lobes_at(&self, i: &FiberAngles, o: &FiberAngles, delta: f64) -> Lobes {
         let square = delta * delta;
         // R = gbar/(2 pi), TT = gbar N. One exponential each.
         let (az_y, az_z) = (i.az_y + o.az_y, i.az_z + o.az_z);
@@ -240,7 +240,7 @@ pub(super) struct CameraSide {
 }
 
 /// What value and derivatives share.
-struct Lobes {
+pub(super) struct Lobes {
     /// `(theta_i + theta_o)^2`.
     square: f64,
     /// `cos(phi_o - phi_i - pi) - 1`.
@@ -248,13 +248,13 @@ struct Lobes {
     /// The lobes before division by G.
     gauss_r: f64,
     gauss_tt: f64,
-    r: f64,
-    tt: f64,
+    pub(super) r: f64,
+    pub(super) tt: f64,
     /// `d ln G / d sigma`.
     log_g_r_by_sigma: f64,
     log_g_tt_by_sigma: f64,
     /// `(1 - cos theta_i)^5`.
-    w5: f64,
+    pub(super) w5: f64,
 }
 
 impl Scattering for KhungurnScattering {
@@ -347,17 +347,13 @@ impl KhungurnScattering {
         } else {
             self.azimuthal.sample(random)
         };
-        let (az_y, az_z) = (
-            -(o.az_y * cos_az - o.az_z * sin_az),
-            -(o.az_z * cos_az + o.az_y * sin_az),
-        );
-        let i = FiberAngles::of_parts(sin_theta, cos_theta, az_y, az_z);
+        let i = o.beyond(sin_theta, cos_theta, cos_az, sin_az);
         let lobes = self.lobes_at(&i, o, theta + side.theta);
         let density = Self::mixture(&lobes, side);
         // S cos(theta_i) / pdf = S cos^2(theta_i) / density: no division by a cosine.
         let factor = cos_theta * cos_theta / density;
         Sampled {
-            wi: DVec3::new(sin_theta, cos_theta * az_y, cos_theta * az_z),
+            wi: DVec3::new(sin_theta, cos_theta * i.az_y, cos_theta * i.az_z),
             weight: Self::value(&lobes, self.followed).map(|s| s * factor),
             pdf: density / cos_theta,
         }
@@ -366,18 +362,18 @@ impl KhungurnScattering {
 
 /// A Gaussian in the longitudinal angle with its normalizer.
 #[derive(Debug, Clone)]
-struct LongitudinalLobe {
-    width: f64,
+pub(super) struct LongitudinalLobe {
+    pub(super) width: f64,
     inverse_width: f64,
     /// `1 / (2 width^2)`.
     half_inverse_square: f64,
     /// `1 / (width sqrt(2 pi))`.
     scale: f64,
-    table: NormalizerTable,
+    pub(super) table: NormalizerTable,
 }
 
 impl LongitudinalLobe {
-    fn new(width: f64) -> Self {
+    pub(super) fn new(width: f64) -> Self {
         Self {
             width,
             inverse_width: 1.0 / width,
@@ -410,7 +406,7 @@ impl LongitudinalLobe {
 
 /// The von Mises distribution of concentration `k = gamma^-2` about zero.
 #[derive(Debug, Clone)]
-struct VonMises {
+pub(super) struct VonMises {
     k: f64,
     /// `dk/dgamma = -2 gamma^-3`.
     k_by_gamma: f64,
@@ -438,7 +434,7 @@ impl VonMises {
 
     /// Cosine and sine of a von Mises angle (Best and Fisher 1979: rejection from a wrapped Cauchy envelope; written with
     /// `r - 1` and `1 - f`, which do not cancel when the lobe is narrow).
-    fn sample(&self, random: &mut Random) -> (f64, f64) {
+    pub(super) fn sample(&self, random: &mut Random) -> (f64, f64) {
         loop {
             let z = (PI * random.uniform()).cos();
             let one_minus_f = self.envelope * (1.0 - z) / (self.envelope + (1.0 + z));
@@ -453,7 +449,8 @@ impl VonMises {
     }
 }
 
-fn check(info: &ParameterInfo, value: f64) -> Result<()> {
+/// Checks a value of `model`: a color in [0, 1], a width of 0.01 to 360 degrees.
+pub(super) fn check(model: &str, info: &ParameterInfo, value: f64) -> Result<()> {
     let (shown, lower, upper, box_lower, box_upper) = match info.unit {
         Unit::One => (value, 0.0, 1.0, info.lower, info.upper),
         Unit::Angle => (
@@ -471,7 +468,7 @@ fn check(info: &ParameterInfo, value: f64) -> Result<()> {
     }
     let key = info.file_key();
     Err(Error::new(format!(
-        "khungurn: '{key}' is {shown}, expected {lower} to {upper}"
+        "{model}: '{key}' is {shown}, expected {lower} to {upper}"
     ))
     .with_hint(format!(
         "the published range of '{key}' is {box_lower:.4} to {box_upper:.4}"

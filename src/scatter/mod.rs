@@ -4,6 +4,8 @@
 //! values it becomes a [`Scattering`], which is what a renderer evaluates and samples. All directions are unit vectors
 //! in the fiber frame (x along the fiber) and point away from the fiber; `wi` toward the light, `wo` toward the
 //! camera. Models need not be reciprocal, so the order matters.
+//!
+//! Volumes of fibers have a contract of their own, in [`media`].
 
 pub mod albedo;
 mod batch;
@@ -11,6 +13,7 @@ pub mod chiang;
 mod defensive;
 mod direction;
 pub mod khungurn;
+pub mod media;
 pub mod normalizer;
 mod parameters;
 mod per_system;

@@ -75,7 +75,11 @@ pub struct Parameters {
 impl Parameters {
     /// The published defaults of `model`.
     pub fn defaults(model: &dyn Model) -> Self {
-        let infos = model.parameters();
+        Self::defaults_of(model.parameters())
+    }
+
+    /// The published defaults of the parameters `infos`.
+    pub(super) fn defaults_of(infos: &'static [ParameterInfo]) -> Self {
         let values = infos
             .iter()
             .flat_map(|p| std::iter::repeat_n(p.default, p.len()))
@@ -162,7 +166,7 @@ impl Parameters {
         let (infos, systems) = (model.parameters(), model.systems());
         if !systems.iter().any(|s| object.get(s).is_some()) {
             let rows = &infos[..infos.len() / systems.len().max(1)];
-            let set = read_set(model, rows, object)?;
+            let set = read_set(model.name(), true, rows, object)?;
             let values = set.repeat(systems.len().max(1));
             return Ok(Self { infos, values });
         }
@@ -182,8 +186,19 @@ impl Parameters {
                 Error::new(format!("parameters: '{system}' is missing"))
                     .with_hint(systems_hint(infos))
             })?;
-            values.extend(read_set(model, rows, own).context(|| format!("yarn system {system}"))?);
+            let set = read_set(model.name(), true, rows, own);
+            values.extend(set.context(|| format!("yarn system {system}"))?);
         }
+        Ok(Self { infos, values })
+    }
+
+    /// The same for the parameters `infos` of a model that has no others per yarn system.
+    pub(super) fn read_one_set(
+        model: &str,
+        infos: &'static [ParameterInfo],
+        object: &Value,
+    ) -> Result<Self> {
+        let values = read_set(model, false, infos, object)?;
         Ok(Self { infos, values })
     }
 
@@ -216,8 +231,14 @@ impl Parameters {
     }
 }
 
-/// One set of values, flat: what an object of a parameter file says about `infos`.
-fn read_set(model: &dyn Model, infos: &[ParameterInfo], object: &Value) -> Result<Vec<f64>> {
+/// One set of values, flat: what an object of a parameter file says about `infos`. `per_system`: whether there is a model with a
+/// set for each yarn system.
+fn read_set(
+    model: &str,
+    per_system: bool,
+    infos: &[ParameterInfo],
+    object: &Value,
+) -> Result<Vec<f64>> {
     let map = object.as_object().ok_or_else(|| {
         Error::new("parameters: expected a JSON object").with_hint(example_hint(infos))
     })?;
@@ -225,16 +246,12 @@ fn read_set(model: &dyn Model, infos: &[ParameterInfo], object: &Value) -> Resul
         .keys()
         .find(|k| infos.iter().all(|p| p.file_key() != **k))
     {
-        let hint = match YARN_SYSTEMS.contains(&unknown.as_str()) {
-            true => format!(
-                "these are parameters per yarn system: model {}-per-system",
-                model.name()
-            ),
+        let hint = match per_system && YARN_SYSTEMS.contains(&unknown.as_str()) {
+            true => format!("these are parameters per yarn system: model {model}-per-system"),
             false => example_hint(infos),
         };
         return Err(Error::new(format!(
-            "parameters: unknown key '{unknown}' for model {}",
-            model.name()
+            "parameters: unknown key '{unknown}' for model {model}"
         ))
         .with_hint(hint));
     }

@@ -87,7 +87,8 @@ pub(crate) fn derivative_error(
     worst
 }
 
-fn five_points(value: &dyn Fn(f64) -> Option<[f64; 3]>, h: f64) -> [f64; 3] {
+/// Slopes of three functions by five-point differences: central where both sides have values, else one-sided.
+pub(crate) fn five_points(value: &dyn Fn(f64) -> Option<[f64; 3]>, h: f64) -> [f64; 3] {
     const CENTRAL: [f64; 5] = [1.0 / 12.0, -2.0 / 3.0, 0.0, 2.0 / 3.0, -1.0 / 12.0];
     const FORWARD: [f64; 5] = [-25.0 / 12.0, 4.0, -3.0, 4.0 / 3.0, -0.25];
     let stencils = [
