@@ -239,3 +239,38 @@ fn help_has_examples() {
         assert!(out.contains("Example"), "{command:?}");
     }
 }
+
+#[test]
+fn an_interrupt_ends_with_its_code_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(
+        folder.path(),
+        "a.nrrd",
+        &[&nrrd_f32([256, 256, 192], [5.0; 3], |x, y, z| {
+            ((x * y + z) % 97) as f32
+        })],
+    );
+    let out = folder.path().join("out");
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_goniofit"))
+        .args([
+            "ct",
+            "prepare",
+            text(&file),
+            "--out",
+            text(&out),
+            "--memory-mib",
+            "1",
+        ])
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    // The folder is made once Ctrl-C is handled and before anything is read.
+    while !out.is_dir() {
+        std::thread::yield_now();
+    }
+    let pid = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 0);
+}

@@ -887,3 +887,70 @@ fn bad_slices_are_named() {
     let report = fails(&[("s1.tif", plain()), ("s2.tif", torn)]);
     assert!(report.contains(&message), "{report}");
 }
+
+/// Every byte of every small file in turn damaged in three ways: an answer or an error, never a panic.
+#[test]
+fn damaged_files_are_answered() {
+    let folder = tempfile::tempdir().unwrap();
+    let raw = bytes("u16", false);
+    let nrrd = |encoding: &str| {
+        nrrd_header(
+            "uint16",
+            false,
+            &format!("spacings: 5 5 5\nencoding: {encoding}\n\n"),
+        )
+    };
+    let meta = |more: &str| {
+        format!(
+            "NDims = 3\nDimSize = 4 3 5\nElementSpacing = 5 5 5\nElementType = MET_USHORT\n{more}ElementDataFile = LOCAL\n"
+        )
+    };
+    let mut npy = b"\x93NUMPY\x01\x00\x46\x00".to_vec();
+    npy.extend(
+        format!(
+            "{:<69}\n",
+            "{'descr': '<u2', 'fortran_order': False, 'shape': (5, 3, 4), }"
+        )
+        .bytes(),
+    );
+    let mut stack = pages("u16", 16, 1, false);
+    stack.truncate(2);
+    stack[0].description = "ImageJ=1\nimages=2\nunit=um\n".to_owned();
+    let files = [
+        ("a.nrrd", [nrrd("raw").as_bytes(), &raw].concat()),
+        ("b.nrrd", [nrrd("gzip").as_bytes(), &gzip(&raw)].concat()),
+        ("c.mha", [meta("").as_bytes(), &raw].concat()),
+        (
+            "d.mha",
+            [meta("CompressedData = True\n").as_bytes(), &zlib(&raw)].concat(),
+        ),
+        ("e.npy", [npy, raw.clone()].concat()),
+        ("f.tif", tiff(&stack, false)),
+    ];
+    let (mut answers, mut errors) = (0, 0);
+    for (name, whole) in files {
+        let path = write(folder.path(), name, &[&whole]);
+        let found = open(&path, five_um).unwrap_or_else(|e| panic!("{name}: {}", e.report()));
+        assert_eq!(all(&found)[7], 7.0, "{name}");
+        for at in 0..whole.len() {
+            for damage in [0xff, 0x39, whole[at] ^ 1] {
+                let mut torn = whole.clone();
+                torn[at] = damage;
+                // Files made anew are not flushed to disk, files cut short are.
+                std::fs::remove_file(&path).unwrap();
+                write(folder.path(), name, &[&torn]);
+                match open(&path, five_um).and_then(|v| v.slab(0..1)) {
+                    Ok(_) => answers += 1,
+                    Err(e) => {
+                        assert!(!e.report().is_empty());
+                        errors += 1;
+                    }
+                }
+            }
+        }
+    }
+    assert!(
+        answers > 1000 && errors > 1000,
+        "{answers} answers, {errors} errors"
+    );
+}

@@ -51,6 +51,9 @@ pub(super) enum Stack {
     Contiguous(Contiguous),
 }
 
+/// No packing of TIFF makes an image smaller than by this.
+const RATIO: u64 = 2000;
+
 #[derive(Clone, Copy, PartialEq)]
 struct Page {
     size: [usize; 2],
@@ -252,11 +255,12 @@ fn inspect(decoder: &mut Reader, path: &Path) -> Result<Page> {
         ))
         .with_hint(EXPORT)
     })?;
-    check_whole(decoder, path)?;
-    Ok(Page {
+    let page = Page {
         size: [width as usize, height as usize],
         sample,
-    })
+    };
+    check_whole(decoder, path, page)?;
+    Ok(page)
 }
 
 fn sample(found: Option<DecodingSampleType>, bits: u8) -> Option<SampleType> {
@@ -276,8 +280,8 @@ fn sample(found: Option<DecodingSampleType>, bits: u8) -> Option<SampleType> {
     (usize::from(bits) == 8 * sample.bytes()).then_some(sample)
 }
 
-/// Fails when a page's data reach beyond the end of the file.
-fn check_whole(decoder: &mut Reader, path: &Path) -> Result<()> {
+/// Fails when a page's data reach beyond the end of the file, or are too few for its size.
+fn check_whole(decoder: &mut Reader, path: &Path, page: Page) -> Result<()> {
     let what = || format!("{} cannot be used", name(path));
     let mut list = |tags: [Tag; 2]| -> Result<Vec<u64>> {
         for tag in tags {
@@ -301,6 +305,26 @@ fn check_whole(decoder: &mut Reader, path: &Path) -> Result<()> {
             name(path)
         ))
         .with_hint("copy it again"));
+    }
+    let compression = decoder
+        .find_tag_unsigned::<u16>(Tag::Compression)
+        .context(what)?;
+    let ratio = if compression.unwrap_or(1) == 1 {
+        1
+    } else {
+        RATIO
+    };
+    let held = counts.iter().fold(0u64, |a, n| a.saturating_add(*n));
+    let [width, height] = page.size.map(|s| s as u64);
+    let size = width
+        .saturating_mul(height)
+        .saturating_mul(page.sample.bytes() as u64);
+    if held.saturating_mul(ratio) < size {
+        return Err(Error::new(format!(
+            "{} is damaged: {held} bytes for {} voxels",
+            name(path),
+            page.in_words()
+        )));
     }
     Ok(())
 }
