@@ -20,6 +20,7 @@ mod calibrate_geometry;
 mod capture;
 mod chart;
 mod crops;
+mod ct;
 mod demo;
 mod doctor;
 mod fabric;
@@ -82,6 +83,7 @@ enum Command {
     Render(render::Arguments),
     Scatter(scatter::Arguments),
     Fabric(fabric::Arguments),
+    Ct(ct::Arguments),
     Predict(predict::Arguments),
     Validate(validate::Arguments),
     Chart(chart::Arguments),
@@ -121,6 +123,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Render(a) => render::run(a),
         Command::Scatter(a) => scatter::run(a),
         Command::Fabric(a) => fabric::run(a),
+        Command::Ct(a) => ct::run(a),
         Command::Predict(a) => predict::run(a),
         Command::Validate(a) => validate::run(a),
         Command::Chart(a) => chart::run(a),

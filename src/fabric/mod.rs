@@ -4,10 +4,11 @@
 //! sample normal, z = 0 the middle plane of the cloth.
 //!
 //! [`load`] reads a fabric description (a woven swatch, or a pointer to a file of fibers) and gives a [`Fabric`]: the
-//! periodic [`FiberTile`] a renderer needs, and a [`FabricReport`] of what it is made of.
+//! periodic [`FiberTile`] a renderer needs, and a [`FabricReport`] of what it is made of. [`ct`] reads and prepares micro-CT volumes.
 
 mod centerline;
 mod csv_format;
+pub mod ct;
 mod curves;
 mod describe;
 mod description;

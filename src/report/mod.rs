@@ -6,6 +6,7 @@
 mod charts;
 pub mod contact_sheet;
 mod convergence;
+pub mod cut;
 pub mod diverging;
 mod html;
 pub mod linear_picture;
