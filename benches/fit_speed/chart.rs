@@ -175,7 +175,9 @@ fn parameters(area: &Area<'_>, methods: &[&str], rows: &[&Row], errors: std::ops
         .y_label_area_size(52)
         .build_cartesian_2d(-0.5..n - 0.5, errors.log_scale())
         .unwrap();
-    let names: Vec<String> = methods.iter().map(|m| (*m).to_owned()).collect();
+    // Of a fit of another length only its seconds: there is no room for more.
+    let short_name = |m: &&str| m.rsplit(", ").next().unwrap_or(m).to_owned();
+    let names: Vec<String> = methods.iter().map(short_name).collect();
     chart
         .configure_mesh()
         .disable_x_mesh()
