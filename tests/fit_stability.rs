@@ -10,7 +10,7 @@ mod stability;
 mod toy;
 
 use goniofit::base::Unwatched;
-use goniofit::fit::{Budget, Loss, Options, Verdict, fit};
+use goniofit::fit::{Bounds, Budget, Loss, Options, TAU, Verdict, fit};
 use goniofit::scatter::Parameters;
 use goniofit::session::Measurements;
 use rayon::prelude::*;
@@ -38,6 +38,9 @@ struct Case {
     start: Option<Parameters>,
     loss: Loss,
     gain_prior: Option<f64>,
+    tau: f64,
+    /// Asked for, as on the command line.
+    bounds: Vec<String>,
     /// What was wrong with the session.
     change: Change,
     /// Whether the normal test run has it.
@@ -53,6 +56,8 @@ fn case(name: &str) -> Case {
         start: None,
         loss: Loss::Squared,
         gain_prior: None,
+        tau: TAU,
+        bounds: Vec::new(),
         change: |_| {},
         fast: true,
     }
@@ -72,6 +77,8 @@ impl Case {
             start: self.start.clone(),
             loss: self.loss,
             gain_prior: self.gain_prior,
+            tau: self.tau,
+            bounds: Bounds::parse(&self.bounds).unwrap(),
             ..Options::new(seed, budget)
         };
         let result = fit(&toy, &measurements, &options, &Unwatched).unwrap();
@@ -79,7 +86,7 @@ impl Case {
         let (fitted, exact) = (toy.means(&fitted), toy.means(&truth));
         let rows = measurements.intensities.iter().map(|m| {
             let i = m.configuration.id as usize - 1;
-            let weight = goniofit::render::relative_error_weight(exact[i], goniofit::fit::TAU);
+            let weight = goniofit::render::relative_error_weight(exact[i], self.tau);
             (weight, std::array::from_fn(|c| fitted[i][c] - exact[i][c]))
         });
         Outcome {
@@ -171,10 +178,17 @@ fn starts_and_bounds() -> Vec<Case> {
 fn materials() -> Vec<Case> {
     let mut black = material("velvet");
     black[..3].fill(0.001);
-    let mut cases = vec![Case {
-        truth: black,
-        ..case("black Velvet, C_R = 0.001")
-    }];
+    let mut cases = vec![
+        Case {
+            truth: black,
+            ..case("black Velvet, C_R = 0.001")
+        },
+        Case {
+            truth: black,
+            bounds: vec!["c_r=0.04..1".to_owned()],
+            ..case("black Velvet, C_R = 0.001, --bound c_r=0.04..1")
+        },
+    ];
     let named = [
         ("Velvet", "velvet", ""),
         ("Cotton", "cotton", ", near-white"),
@@ -231,6 +245,12 @@ fn sessions() -> Vec<Case> {
         cases.push(Case {
             sd,
             ..case(&format!("measurement errors of {name} %"))
+        });
+    }
+    for tau in [0.002, 0.1, 0.5] {
+        cases.push(Case {
+            tau,
+            ..case(&format!("tau = {tau}"))
         });
     }
     for paths in [5_000, 20_000, 100_000, 500_000] {
