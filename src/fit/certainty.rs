@@ -13,9 +13,6 @@ use crate::scatter::{Parameters, Unit};
 const WEAK: f64 = 0.2;
 const NOT: f64 = 0.5;
 
-/// A profile narrower than this share of the quadratic interval is not believed.
-const NARROW: f64 = 0.5;
-
 /// Puts profiles in the place of quadratic distributions where those take much of the range or touch a bound, and says
 /// which method each place has.
 pub(super) fn profile(
@@ -47,11 +44,6 @@ pub(super) fn profile(
             continue;
         }
         if let Some(sorted) = profiler.quantiles(j, density.scales[j])? {
-            // Few recorded paths cannot know what all renders leave open: their noise looks like curvature.
-            let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64) as usize];
-            if at(0.975) - at(0.025) < NARROW * (to - from) {
-                continue;
-            }
             samples.replace(j, sorted);
             *method = IntervalMethod::Profile;
         }

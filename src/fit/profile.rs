@@ -11,8 +11,9 @@
 //!
 //! The objective is evaluated without tracing, on paths recorded once at the fit, two independent sets a and b: with r the
 //! residuals of the final check, `f(u) = sum w (r + Ra(u) - Ra(u0)) (r + Rb(u) - Rb(u0))`, which has no noise at the fit
-//! and little near it. A linear term gives it the gradient of the whole fit. Where the recording is not to be trusted
-//! nothing is said, and the interval stays quadratic.
+//! and little near it. A linear term gives it the gradient of the whole fit. How noisy f is away from the fit is read from how
+//! far the two recordings differ there: what few paths leave open looks like curvature as often as not. Where the recording
+//! is not to be trusted, or too noisy, nothing is said, and the interval stays quadratic.
 
 use super::linear::{Matrix, box_quadratic};
 use super::space::SearchSpace;
@@ -32,6 +33,8 @@ const LONGEST: f64 = 0.06;
 const INNER: usize = 3;
 /// Most a coordinate may move in one of them.
 const REACH: f64 = 0.4;
+/// Most a point's `z^2` may be in doubt by noise, one standard error, over the larger of z and 1: z is then known to a quarter.
+const DOUBT: f64 = 0.5;
 /// Quantiles that stand for the distribution, and parts of each stride in its integral.
 const QUANTILES: usize = 2001;
 const PARTS: u32 = 40;
@@ -93,6 +96,8 @@ struct Point {
     /// Gradient of half of it.
     gradient: Vec<f64>,
     curvature: Matrix,
+    /// Variance of the value by the recordings' noise, from how far the two differ.
+    noise: f64,
     trusted: bool,
 }
 
@@ -131,15 +136,19 @@ impl<'a> Profiler<'a> {
     }
 
     /// Sorted coordinates that stand for the distribution of place `j`; `scale` is `(H^-1)_jj / C_jj`. `None` where the
-    /// recording does not reach far enough.
+    /// recording does not reach far enough or is too noisy.
     ///
     /// # Errors
     /// When a number is not finite.
     pub(super) fn quantiles(&self, j: usize, scale: f64) -> Result<Option<Vec<f64>>> {
+        self.quantiles_within(j, scale, DOUBT)
+    }
+
+    fn quantiles_within(&self, j: usize, scale: f64, doubt: f64) -> Result<Option<Vec<f64>>> {
         let start = self.point(self.u)?;
         let mut curve = vec![(self.u[j], 0.0)];
         for side in [-1.0, 1.0] {
-            match self.side(j, side, scale, &start)? {
+            match self.side(j, side, [scale, doubt], &start)? {
                 Some(points) => curve.extend(points),
                 None => return Ok(None),
             }
@@ -175,6 +184,14 @@ impl<'a> Profiler<'a> {
             residuals.push(residual);
             jacobians.push(jacobian);
         }
+        let noise = (self.weights.chunks(CHANNELS))
+            .zip(
+                residuals[0]
+                    .chunks(CHANNELS)
+                    .zip(residuals[1].chunks(CHANNELS)),
+            )
+            .map(|(w, (a, b))| noise_of_products(w, a, b))
+            .sum();
         let products = residuals[0].iter().zip(&residuals[1]).zip(self.weights);
         let linear =
             (self.tilt.iter().zip(u.iter().zip(self.u))).map(|(t, (u, fit))| t * (u - fit));
@@ -196,16 +213,17 @@ impl<'a> Profiler<'a> {
             value,
             gradient,
             curvature,
+            noise,
             trusted,
         })
     }
 
-    /// Points `(u_j, z)` of the profile to one side.
+    /// Points `(u_j, z)` of the profile to one side; `None` where they cannot be known.
     fn side(
         &self,
         j: usize,
         side: f64,
-        scale: f64,
+        [scale, doubt]: [f64; 2],
         start: &Point,
     ) -> Result<Option<Vec<(f64, f64)>>> {
         let end = if side < 0.0 {
@@ -238,7 +256,7 @@ impl<'a> Profiler<'a> {
                 step *= 0.4;
                 continue;
             }
-            if !there.trusted {
+            if !there.trusted || scale * there.noise.sqrt() > doubt * z.max(1.0) {
                 return Ok(None);
             }
             points.push((u[j], side * z));
@@ -287,6 +305,18 @@ impl<'a> Profiler<'a> {
     }
 }
 
+/// Variance of `sum w a b` over the channels of one configuration, with a and b independent and equally noisy, from their
+/// difference d: to first order `sum w (a + b) d / 2` is as noisy as the sum, channels being noisy together; to second
+/// order a product of two errors has the variance `E(d^4) / 12`.
+fn noise_of_products(w: &[f64], a: &[f64], b: &[f64]) -> f64 {
+    let (mut first, mut second) = (0.0, 0.0);
+    for ((w, a), b) in w.iter().zip(a).zip(b) {
+        first += 0.5 * w * (a + b) * (a - b);
+        second += w * w * (a - b).powi(4) / 12.0;
+    }
+    first * first + second
+}
+
 fn means(recalled: &Recalled) -> impl Iterator<Item = f64> + '_ {
     recalled
         .estimates
@@ -329,106 +359,4 @@ fn spread(curve: &[(f64, f64)]) -> Vec<f64> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::math::Random;
-    use crate::math::special::normal_probability;
-    use crate::render::{ConfigurationTrust, Estimate, Estimates, Trust};
-    use crate::scatter::{Khungurn, Parameters};
-
-    /// One number, `tanh(2.5 u)` of the first color's search coordinate u: steep in the middle, flat toward both bounds.
-    struct Saturating;
-
-    fn mean(u: f64) -> (f64, f64) {
-        let m = (2.5 * u).tanh();
-        (m, 2.5 * (1.0 - m * m))
-    }
-
-    impl Recall for Saturating {
-        fn recall(&self, parameters: &Parameters) -> Result<Recalled> {
-            let space = SearchSpace::new(parameters)?;
-            let (mean, slope) = mean(space.to_search(parameters)?[0]);
-            let mut derivative = vec![[0.0; 3]; parameters.infos().len()];
-            derivative[0][0] = slope / space.slopes(parameters)[0];
-            let estimate = Estimate {
-                config: 1,
-                mean: [mean, 0.0, 0.0],
-                standard_error: [0.0; 3],
-                derivative_se: derivative.clone(),
-                derivative,
-                paths: 1,
-            };
-            let trust = ConfigurationTrust {
-                config: 1,
-                effective: 1.0,
-                largest_share: 0.0,
-                ratio: 1.0,
-            };
-            Ok(Recalled {
-                estimates: Estimates {
-                    configurations: vec![estimate],
-                    cpu_s: 0.0,
-                    wall_s: 0.0,
-                },
-                trust: Trust {
-                    configurations: vec![trust],
-                },
-            })
-        }
-    }
-
-    #[test]
-    fn profiles_hold_the_truth_where_the_quadratic_picture_fails() {
-        // 95 % intervals of 300 truths over the whole range, of which integrals say that profiles hold 95 % and quadratic
-        // intervals 68 %. Standard error 1.3 %: sees profiles that hold 90 %.
-        let defaults = Parameters::defaults(&Khungurn);
-        let space = SearchSpace::new(&defaults).unwrap();
-        let recorded = Recorded {
-            recordings: [Box::new(Saturating), Box::new(Saturating)],
-            wall_s: 0.0,
-            cpu_s: 0.0,
-        };
-        let sd = 0.2;
-        let weights = [1.0 / (sd * sd), 0.0, 0.0];
-        let (low, high) = (space.lower()[0], space.upper()[0]);
-        let mut random = Random::keyed(&[91]);
-        let (mut by_profile, mut by_quadratic) = (0, 0);
-        for _ in 0..300 {
-            let truth = low + (high - low) * random.uniform();
-            let measured = mean(truth).0 + sd * random.normal();
-            let mut u = space.to_search(&defaults).unwrap();
-            u[0] = (measured.clamp(-1.0 + 1e-9, 1.0 - 1e-9).atanh() / 2.5).clamp(low, high);
-            let (fitted, slope) = mean(u[0]);
-            let residual = [fitted - measured, 0.0, 0.0];
-            let mut gradient = vec![0.0; u.len()];
-            gradient[0] = weights[0] * residual[0] * slope;
-            let profiler =
-                Profiler::new(&space, &recorded, &weights, &u, &residual, &gradient).unwrap();
-            let list = profiler.quantiles(0, 1.0).unwrap().unwrap();
-            by_profile += i32::from((list[50]..=list[1950]).contains(&truth));
-            let z = |x: f64| slope.max(1e-3) * (x - u[0]) / sd;
-            let below = normal_probability(z(low), z(truth)) / normal_probability(z(low), z(high));
-            by_quadratic += i32::from((0.025..=0.975).contains(&below));
-        }
-        assert!(by_profile > 270, "{by_profile} of 300");
-        // Negative control: the quadratic intervals do not hold it as often.
-        assert!(by_quadratic < 250, "{by_quadratic} of 300");
-    }
-
-    #[test]
-    fn quantiles_of_a_straight_curve_are_normal() {
-        // Errors are those of linear quantiles: below 0.02 standard deviations but in the tails.
-        let curve: Vec<(f64, f64)> = (-8..=8)
-            .map(|k| (f64::from(k), 0.5 * f64::from(k)))
-            .collect();
-        let list = spread(&curve);
-        for (t, z) in [(0.025, -1.96), (0.16, -0.9945), (0.5, 0.0), (0.975, 1.96)] {
-            let x = list[(t * (QUANTILES - 1) as f64) as usize];
-            assert!((x - 2.0 * z).abs() < 0.03, "{t}: {x}");
-        }
-        // A bound at the best value leaves half of it.
-        let half = spread(&curve[8..]);
-        let x = half[(0.95 * (QUANTILES - 1) as f64) as usize];
-        assert!((x - 2.0 * 1.96).abs() < 0.03, "{x}");
-    }
-}
+mod tests;
