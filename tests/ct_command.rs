@@ -1,37 +1,15 @@
 //! Promise: `goniofit ct` looks at volumes, draws them, prepares them, and never replaces a file unasked.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
+#[path = "common/command.rs"]
+mod command;
 #[path = "common/ct_files.rs"]
 mod ct_files;
 
-use assert_cmd::Command;
+use command::{done, goniofit, text};
 use ct_files::{Page, nrrd_f32, tiff, write};
 use serde_json::Value;
 use std::path::Path;
-
-fn goniofit(arguments: &[&str]) -> (i32, String, String) {
-    let output = Command::cargo_bin("goniofit")
-        .unwrap()
-        .args(arguments)
-        .output()
-        .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
-    (
-        output.status.code().unwrap(),
-        text(&output.stdout),
-        text(&output.stderr),
-    )
-}
-
-fn done(arguments: &[&str]) -> (String, String) {
-    let (code, out, err) = goniofit(arguments);
-    assert_eq!(code, 0, "{arguments:?}: {err}");
-    (out, err)
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
 
 /// A plain weave of 16-bit slices: yarns 8 voxels apart.
 fn scan(folder: &Path) {

@@ -1,27 +1,14 @@
 //! Promise: `goniofit fabric` describes, exports, imports and draws, and never replaces a file unasked.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
-use assert_cmd::Command;
+#[path = "common/command.rs"]
+mod command;
+
+use command::goniofit;
 use std::path::Path;
 
-fn goniofit(arguments: &[&str]) -> (i32, String, String) {
-    let output = Command::cargo_bin("goniofit")
-        .unwrap()
-        .args(arguments)
-        .output()
-        .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
-    (
-        output.status.code().unwrap(),
-        text(&output.stdout),
-        text(&output.stderr),
-    )
-}
-
 fn done(arguments: &[&str]) -> String {
-    let (code, out, err) = goniofit(arguments);
-    assert_eq!(code, 0, "{arguments:?}: {err}");
-    out
+    command::done(arguments).0
 }
 
 fn path(folder: &Path, name: &str) -> String {

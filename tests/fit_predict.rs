@@ -2,9 +2,11 @@
 //! configurations out in closed form gives what refits give.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
+#[path = "common/command.rs"]
+mod command;
 mod toy;
 
-use assert_cmd::Command;
+use command::goniofit;
 use goniofit::base::Unwatched;
 use goniofit::fit::{
     Budget, Comparison, FitResult, Options, Prediction, Refit, TAU, compare, fit, predict, validate,
@@ -185,21 +187,6 @@ fn old_files_are_read_and_refused_with_a_hint_and_poses_must_be_those_measured()
     other.intensities[0].configuration.light.theta += 0.01;
     let error = compare(&predictions, &other, TAU).unwrap_err().report();
     assert!(error.contains("not the pose that was measured"), "{error}");
-}
-
-fn goniofit(arguments: &[&str]) -> (i32, String, String) {
-    let output = Command::cargo_bin("goniofit")
-        .unwrap()
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .args(arguments)
-        .output()
-        .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (
-        output.status.code().unwrap(),
-        text(&output.stdout),
-        text(&output.stderr),
-    )
 }
 
 #[test]

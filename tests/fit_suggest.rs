@@ -1,11 +1,13 @@
 //! Promise: the suggested poses are those that shrink what is known worst, and what they are said to buy is what they buy.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
+#[path = "common/command.rs"]
+mod command;
 #[path = "common/render_scenes.rs"]
 mod render_scenes;
 mod toy;
 
-use assert_cmd::Command;
+use command::goniofit;
 use goniofit::base::{Result, Unwatched, Watch};
 use goniofit::fit::{Aim, Bounds, Knowledge, MeasuredPose, SuggestOptions, TAU, suggest};
 use goniofit::math::{Random, statistics::Running};
@@ -550,21 +552,6 @@ fn on_a_rendered_cloth_the_scatter_shrinks_as_predicted_and_a_blind_pose_buys_le
     );
     // Negative control: the promise of the chosen poses does not hold for the blind ones.
     assert!((blindly / said_then.share_unknown).ln() > 0.09);
-}
-
-fn goniofit(arguments: &[&str]) -> (i32, String, String) {
-    let output = Command::cargo_bin("goniofit")
-        .unwrap()
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .args(arguments)
-        .output()
-        .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (
-        output.status.code().unwrap(),
-        text(&output.stdout),
-        text(&output.stderr),
-    )
 }
 
 /// Ids the rig does not reach, by `plan check`.

@@ -2,28 +2,12 @@
 //! the recorded session in `mocks/` against its truth. Bad input anywhere gives exit code 2, a hint, and no file.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use assert_cmd::Command;
+#[path = "common/command.rs"]
+mod command;
+
+use command::{goniofit, text};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-
-fn goniofit(arguments: &[&str]) -> (i32, String, String) {
-    let output = Command::cargo_bin("goniofit")
-        .unwrap()
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .args(arguments)
-        .output()
-        .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (
-        output.status.code().unwrap(),
-        text(&output.stdout),
-        text(&output.stderr),
-    )
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
 
 /// A coarse open weave, four poses, four numbers each: seconds instead of minutes.
 fn small_inputs(folder: &Path) -> [PathBuf; 3] {

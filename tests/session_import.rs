@@ -2,9 +2,11 @@
 //! refused by row, and leaves nothing behind.
 #![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
+#[path = "common/command.rs"]
+mod command;
 mod virtual_session;
 
-use assert_cmd::Command;
+use command::{goniofit, text};
 use goniofit::session::{
     Entry, Event, Filter, FrameKind, Layout, SessionFolder, TiffImage, read_journal, sha256,
     write_tiff,
@@ -12,24 +14,6 @@ use goniofit::session::{
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use virtual_session::{Setup, folder, record};
-
-fn goniofit(arguments: &[&str]) -> (i32, String, String) {
-    let output = Command::cargo_bin("goniofit")
-        .unwrap()
-        .args(arguments)
-        .output()
-        .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (
-        output.status.code().unwrap(),
-        text(&output.stdout),
-        text(&output.stderr),
-    )
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
 
 fn import(list: &Path, plan: &Path, camera: &Path, out: &Path) -> (i32, String, String) {
     goniofit(&[

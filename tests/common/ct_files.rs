@@ -2,8 +2,11 @@
 
 #![allow(dead_code)]
 
+use flate2::Compression;
+use flate2::write::{GzEncoder, ZlibEncoder};
 use goniofit::base::Unwatched;
 use goniofit::fabric::ct::{Reading, Volume};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Opens a volume as its file says, with voxels of 5 um where it does not.
@@ -155,4 +158,75 @@ pub(crate) fn nrrd_f32(
         }
     }
     file
+}
+
+/// Voxels of the small volumes.
+pub(crate) const DIMS: [usize; 3] = [4, 3, 5];
+
+/// Small enough for every type, different for every voxel.
+pub(crate) fn value(x: usize, y: usize, z: usize) -> i32 {
+    (x + 4 * y + 12 * z) as i32
+}
+
+pub(crate) fn in_file_order() -> Vec<i32> {
+    let [nx, ny, nz] = DIMS;
+    let all = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| value(x, y, z))));
+    all.collect()
+}
+
+pub(crate) fn bytes(kind: &str, big: bool) -> Vec<u8> {
+    macro_rules! encode {
+        ($t:ty) => {
+            in_file_order()
+                .into_iter()
+                .flat_map(|v| {
+                    let v = v as $t;
+                    if big {
+                        v.to_be_bytes()
+                    } else {
+                        v.to_le_bytes()
+                    }
+                })
+                .collect()
+        };
+    }
+    match kind {
+        "u8" => encode!(u8),
+        "i8" => encode!(i8),
+        "u16" => encode!(u16),
+        "i16" => encode!(i16),
+        "u32" => encode!(u32),
+        "i32" => encode!(i32),
+        "u64" => encode!(u64),
+        "i64" => encode!(i64),
+        "f32" => encode!(f32),
+        _ => encode!(f64),
+    }
+}
+
+pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut packer = GzEncoder::new(Vec::new(), Compression::fast());
+    packer.write_all(bytes).unwrap();
+    packer.finish().unwrap()
+}
+
+pub(crate) fn zlib(bytes: &[u8]) -> Vec<u8> {
+    let mut packer = ZlibEncoder::new(Vec::new(), Compression::fast());
+    packer.write_all(bytes).unwrap();
+    packer.finish().unwrap()
+}
+
+pub(crate) fn nrrd_header(kind: &str, big: bool, rest: &str) -> String {
+    let endian = if big { "big" } else { "little" };
+    format!(
+        "NRRD0001\n# by hand\ntype: {kind}\ndimension: 3\nsizes: 4 3 5\nendian: {endian}\nnote:=a b\n{rest}"
+    )
+}
+
+pub(crate) fn pages(kind: &str, bits: u16, format: u16, big: bool) -> Vec<Page> {
+    let raw = bytes(kind, big);
+    let slices = raw.chunks(raw.len() / DIMS[2]);
+    slices
+        .map(|s| Page::new([4, 3], bits, format, s.to_vec()))
+        .collect()
 }
