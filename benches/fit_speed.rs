@@ -26,9 +26,11 @@
 mod chart;
 
 use goniofit::base::Unwatched;
-use goniofit::fit::{Budget, FitResult, Method, Objective, Options, RenderPair, fit, rms_of};
+use goniofit::fit::{
+    Budget, FitResult, Method, Objective, Options, ParameterResult, RenderPair, fit, rms_of,
+};
 use goniofit::render::{Effort, Estimate, FiberScene, FiberSceneOptions, Request, Scene};
-use goniofit::scatter::{self, Parameters};
+use goniofit::scatter::{self, Parameters, Unit};
 use goniofit::session::{Configuration, Intensity, Measurements, Plan};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -77,6 +79,11 @@ struct Row {
     /// Largest relative error of a color that matters, and of the widths beta_tt and gamma_tt, percent.
     color_error: f64,
     width_error: f64,
+    /// What the fit says of itself: whether it converged, the Monte Carlo part of its error in percent, and of how many
+    /// parameters the 95 % interval holds the truth. None in rows of earlier versions.
+    converged: Option<bool>,
+    stated_error: Option<f64>,
+    held: Option<usize>,
     load: f64,
 }
 
@@ -208,7 +215,7 @@ fn report(row: &Row, json: bool) {
     }
     let seconds = |s: Option<f64>| s.map_or("-".to_owned(), |s| format!("{s:.1}"));
     println!(
-        "{:12} {:12} seed {:2} to {:4} %: {:>6} s, {:>6} CPU s; end {:.2} +- {:.2} % in {:.1} s ({:.1} CPU s), colors {:.1} %, widths {:.1} %, load {:.1}",
+        "{:12} {:12} seed {:2} to {:4} %: {:>6} s, {:>6} CPU s; end {:.2} +- {:.2} % in {:.1} s ({:.1} CPU s), colors {:.1} %, widths {:.1} %, {} intervals hold, converged {}, load {:.1}",
         row.fabric,
         row.method,
         row.seed,
@@ -221,6 +228,8 @@ fn report(row: &Row, json: bool) {
         row.total_cpu_s,
         row.color_error,
         row.width_error,
+        row.held.map_or("?".to_owned(), |n| n.to_string()),
+        row.converged.map_or("?".to_owned(), |c| c.to_string()),
         row.load
     );
 }
@@ -364,6 +373,20 @@ impl Case {
         let widths = widths.map(|name| relative(found.scalar(name), truth.scalar(name)));
         [colors.fold(0.0, f64::max), widths[0].max(widths[1])]
     }
+
+    /// Parameters whose 95 % interval holds the truth.
+    fn held(&self, result: &FitResult) -> usize {
+        let truths = self.truth.places().into_iter().zip(self.truth.values());
+        let inside = |(p, ((row, _), truth)): (&ParameterResult, ((usize, usize), &f64))| {
+            let truth = match self.truth.infos()[row].unit {
+                Unit::One => *truth,
+                Unit::Angle => truth.to_degrees(),
+            };
+            (p.interval_95[0]..=p.interval_95[1]).contains(&truth)
+        };
+        let pairs = result.uncertainty.iter().zip(truths);
+        pairs.filter(|pair| inside(*pair)).count()
+    }
 }
 
 /// A fit, not judged yet.
@@ -479,6 +502,9 @@ impl<'a> Judge<'a> {
                 total_cpu_s: result.time.cpu_s,
                 color_error,
                 width_error,
+                converged: Some(result.converged),
+                stated_error: Some(result.objective.fit_monte_carlo_percent),
+                held: Some(self.case.held(result)),
                 load: run.load,
             }
         };
