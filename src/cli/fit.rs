@@ -164,7 +164,7 @@ pub(crate) struct Ready {
 }
 
 impl Ready {
-    fn model(&self) -> &'static dyn scatter::Model {
+    fn model(&self) -> &'static dyn scatter::Parametric {
         self.scene.model()
     }
 }
