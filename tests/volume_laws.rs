@@ -9,15 +9,16 @@ mod volumes;
 use glam::DVec3;
 use goniofit::base::Unwatched;
 use goniofit::fabric::VoxelTile;
-use goniofit::math::{Frame, PolarDirection};
+use goniofit::math::{Frame, GaussLegendre, PolarDirection};
 use goniofit::render::{
     Effort, Estimate, FiberSceneOptions, Integrator, LightShape, Plate, Request, Scene, VolumeScene,
 };
 use goniofit::scatter::Parameters;
 use goniofit::scatter::media::{self, Medium};
 use goniofit::session::Configuration;
-use render_scenes::{Scores, pose, seed};
-use volumes::{Volume, medium, random_voxels, slab, soft_volume, wide_flakes};
+use render_scenes::{Scores, felt, pose, seed};
+use serde_json::json;
+use volumes::{Volume, medium, random_voxels, slab, soft_volume, voxelized, wide_flakes};
 
 /// A light so small and far that it has one direction.
 const POINT: LightShape = LightShape {
@@ -348,3 +349,97 @@ fn unusable_scenes_are_refused() {
     let error = scene.unwrap().estimate(&request, &Unwatched).unwrap_err();
     assert!(error.report().contains("albedo"), "{}", error.report());
 }
+
+/// Chandrasekhar's H function of isotropic scattering at `mu`, from its integral equation (Radiative Transfer, 1960, ch. V):
+/// `1/H(mu) = sqrt(1 - albedo) + albedo/2 int_0^1 t H(t) / (mu + t) dt`.
+fn h_function(albedo: f64, at: &[f64]) -> Vec<f64> {
+    let rule = GaussLegendre::new(64);
+    let points: Vec<(f64, f64)> = rule.on(0.0, 1.0).collect();
+    let mut h = vec![1.0; points.len()];
+    let next = |h: &[f64], mu: f64| {
+        let terms = points.iter().zip(h).map(|((t, w), h)| w * t * h / (mu + t));
+        1.0 / ((1.0 - albedo).sqrt() + 0.5 * albedo * terms.sum::<f64>())
+    };
+    for _ in 0..3000 {
+        // Half steps: whole ones swing.
+        let new = points
+            .iter()
+            .zip(&h)
+            .map(|((mu, _), old)| 0.5 * (next(&h, *mu) + old));
+        h = new.collect();
+    }
+    at.iter().map(|mu| next(&h, *mu)).collect()
+}
+
+#[test]
+fn a_deep_isotropic_medium_reflects_as_chandrasekhar_says() {
+    // His table gives H(1) = 2.9078 and H(0.5) = 2.0128 at albedo 1.
+    let published = h_function(1.0, &[1.0, 0.5]);
+    assert!((published[0] - 2.9078).abs() < 2e-3, "{published:?}");
+    assert!((published[1] - 2.0128).abs() < 2e-3, "{published:?}");
+    // Flakes that point everywhere alike; optical depth 60; all orders of scattering. Sees 2 % in the reflected light, which an
+    // albedo off by 1 % changes by 5 % in red.
+    let albedos = [0.95, 0.7, 0.3];
+    let file = json!({"albedo": albedos, "gamma": 100.0}).to_string();
+    let tile = slab(30, 0.01, 1.0, DVec3::X);
+    let volume = Volume {
+        tile: &tile,
+        density: 400.0,
+        options: options(Plate::Black),
+        medium: medium("microflake", &file),
+    };
+    let found = volume.render(Integrator::Fast, &poses(), Effort::Paths(20_000), seed(38));
+    let against = |albedos: [f64; 3]| {
+        let mut scores = Scores::default();
+        for (e, c) in found.iter().zip(&poses()) {
+            let [i, o] = directions(c).map(|w| w.z);
+            for (k, albedo) in albedos.into_iter().enumerate() {
+                let h = h_function(albedo, &[i, o]);
+                let expected = 0.25 * albedo * i / (i + o) * h[0] * h[1];
+                let se = e.standard_error[k].hypot(2.0 * LIGHT * expected);
+                let what = format!("pose {} albedo {albedo}", c.id);
+                scores.add(&what, (e.mean[k], se), (expected, 0.0));
+            }
+        }
+        println!("{}", scores.sentence);
+        scores
+    };
+    against(albedos).assert_agree();
+    against(albedos.map(|a| 0.98 * a)).assert_differ();
+}
+
+/// Khungurn 2015 Figure 7: a density from 500 to 5000 per cm hardly changes cloth lit from the camera's side, but cloth lit from
+/// behind.
+#[test]
+fn density_shows_in_transmitted_light() {
+    let tile = voxelized(&felt(400, 0.2), 0.02);
+    let (model, parameters) = medium("khungurn-volume", SOFT_BRIGHT);
+    let both = [
+        pose(1, [30.0, 180.0], [30.0, 0.0]),
+        pose(2, [150.0, 180.0], [30.0, 0.0]),
+    ];
+    let mean = |density: f64| {
+        let volume = Volume {
+            tile: &tile,
+            density,
+            options: FiberSceneOptions {
+                light: render_scenes::WIDE,
+                plate: Plate::Open,
+                ..FiberSceneOptions::default()
+            },
+            medium: (model, parameters.clone()),
+        };
+        let found = volume.render(Integrator::Fast, &both, Effort::Paths(8192), seed(39));
+        [0, 1].map(|p| found[p].mean[0])
+    };
+    let [thin, dense] = [mean(50.0), mean(500.0)];
+    println!("500 per cm: {thin:?}, 5000 per cm: {dense:?}");
+    let [reflected, transmitted] = [0, 1].map(|p| (dense[p] / thin[p]).ln().abs());
+    assert!(
+        reflected < 0.4 && transmitted > 3.0 * reflected,
+        "{reflected} {transmitted}"
+    );
+}
+
+const SOFT_BRIGHT: &str = r#"{"c_r": [0.1, 0.3, 0.05], "c_tt": [0.85, 0.6, 0.9], "beta_r_deg": 10.0,
+    "beta_tt_deg": 25.0, "gamma_tt_deg": 30.0, "albedo": [0.9, 0.9, 0.9]}"#;

@@ -28,7 +28,7 @@ pub use record::{
     ConfigurationTrust, Recalled, RecordOptions, Recording, RecordingPair, TRUST_THRESHOLD, Trust,
 };
 pub use scene::{FiberScene, FiberSceneOptions, Integrator, Plate, View};
-pub use volume::{DEFAULT_DENSITY, VolumeScene};
+pub use volume::{DEFAULT_DENSITY, FlightSpeed, VolumeScene};
 
 use crate::base::{Error, Result, Watch};
 use crate::scatter::{Parameters, Parametric};

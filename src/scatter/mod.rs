@@ -8,6 +8,7 @@
 //! Volumes of fibers have a contract of their own, in [`media`].
 
 pub mod albedo;
+mod any;
 mod batch;
 pub mod chiang;
 mod defensive;
@@ -19,6 +20,7 @@ mod parameters;
 mod per_system;
 mod piecewise;
 
+pub use any::AnyModel;
 pub use batch::{BatchEvaluate, BatchValues, Footprint, MAX_COLUMNS, OneByOne};
 pub use chiang::{Chiang, ChiangScattering};
 pub use defensive::Defensive;

@@ -8,6 +8,7 @@ mod basic;
 mod extinction;
 mod grid;
 mod path;
+mod probe;
 
 use super::estimate::{self, Clock};
 use super::guide::StateMap;
@@ -20,6 +21,7 @@ use crate::scatter::Parametric;
 use crate::scatter::media::MediumModel;
 use grid::Grid;
 use path::VolumePaths;
+pub use probe::FlightSpeed;
 
 /// Density of a voxel of value 1, 1/mm, where nothing else is said: the density multiplier 4000 of Khungurn 2015 (sec. 7),
 /// taken per centimeter (docs/decisions/0008-media.md).
