@@ -96,7 +96,7 @@ fn media() {
 
 /// Prints one row of times of a medium.
 fn report_medium(model: &dyn MediumModel, name: &str, values: Vec<f64>) {
-    let parameters = model.defaults().with_values(values);
+    let parameters = Parameters::defaults(model).with_values(values);
     let prepare = best_of(3, 5, || {
         black_box(model.prepare(black_box(&parameters)).unwrap());
     });
@@ -135,7 +135,7 @@ fn worst_area(rows: &[Value]) -> f64 {
         .map(|row| {
             let number = |k: usize| row[k].as_f64().unwrap();
             let values = vec![1.0, 1.0, 1.0, number(0)];
-            let medium = Microflake.prepare(&Microflake.defaults().with_values(values));
+            let medium = Microflake.prepare(&Parameters::defaults(&Microflake).with_values(values));
             let theta = std::f64::consts::FRAC_PI_2 - number(1).to_radians();
             let w = fiber_direction(theta, 0.0);
             (medium.unwrap().extinction(w) / number(2) - 1.0).abs()

@@ -17,7 +17,7 @@ use goniofit::render::{
     ConfigurationTrust, Effort, Estimate, Estimates, FiberScene, FiberSceneOptions, LightShape,
     Recall, Recalled, RecordedPaths, Request, Scene, Trust,
 };
-use goniofit::scatter::{Model, ParameterInfo, Parameters, Unit};
+use goniofit::scatter::{ParameterInfo, Parameters, Parametric, Unit};
 use goniofit::session::{Configuration, Intensity, Measurements, Plan};
 use rayon::prelude::*;
 use render_scenes::{felt, khungurn};
@@ -141,7 +141,7 @@ struct ToyPaths {
 }
 
 impl Scene for Recorder {
-    fn model(&self) -> &'static dyn Model {
+    fn model(&self) -> &'static dyn Parametric {
         self.0.model()
     }
 

@@ -16,7 +16,7 @@ use goniofit::math::Random;
 use goniofit::render::{
     Effort, Estimate, Estimates, Request, Scene, relative_error_weight, weighted_rms,
 };
-use goniofit::scatter::{Model, Parameters};
+use goniofit::scatter::{Parameters, Parametric};
 use goniofit::session::{Intensity, Measurements};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -81,7 +81,7 @@ impl Linear {
 }
 
 impl Scene for Linear {
-    fn model(&self) -> &'static dyn Model {
+    fn model(&self) -> &'static dyn Parametric {
         &TOY
     }
 

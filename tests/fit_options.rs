@@ -11,7 +11,7 @@ use goniofit::fit::{
     Refit, SgdOptions, SuggestOptions, Verdict, compare, fit, predict, suggest, validate,
 };
 use goniofit::render::{Effort, Estimates, Request, Scene};
-use goniofit::scatter::{Model, Parameters};
+use goniofit::scatter::{Parameters, Parametric};
 use goniofit::session::Measurements;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -47,7 +47,7 @@ impl Seen {
 }
 
 impl Scene for Seen {
-    fn model(&self) -> &'static dyn Model {
+    fn model(&self) -> &'static dyn Parametric {
         &TOY
     }
 

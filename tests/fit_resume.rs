@@ -10,7 +10,7 @@ use goniofit::fit::{
     Budget, FitResult, Journal, JournalHeader, Loss, Method, Options, fit, fit_with_journal,
 };
 use goniofit::render::{Estimates, Request, Scene};
-use goniofit::scatter::Model;
+use goniofit::scatter::Parametric;
 use goniofit::session::Measurements;
 use rustix::process::Signal;
 use serde_json::Value;
@@ -46,7 +46,7 @@ impl Counted {
 }
 
 impl Scene for Counted {
-    fn model(&self) -> &'static dyn Model {
+    fn model(&self) -> &'static dyn Parametric {
         &TOY
     }
 

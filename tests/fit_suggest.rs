@@ -15,7 +15,7 @@ use goniofit::render::{
     Effort, Estimate, Estimates, FiberScene, FiberSceneOptions, Request, Scene,
     relative_error_weight,
 };
-use goniofit::scatter::{Model, Parameters, Unit};
+use goniofit::scatter::{Parameters, Parametric, Unit};
 use goniofit::session::protocols::{Grid, grid, khungurn16};
 use goniofit::session::{Configuration, Plan};
 use render_scenes::khungurn;
@@ -59,7 +59,7 @@ impl Formula {
 }
 
 impl Scene for Formula {
-    fn model(&self) -> &'static dyn Model {
+    fn model(&self) -> &'static dyn Parametric {
         &TOY
     }
 

@@ -15,7 +15,8 @@ use goniofit::render::{
     Recording, Request, Scene, TRUST_THRESHOLD,
 };
 use goniofit::scatter::{
-    Evaluation, Khungurn, Model, Outgoing, ParameterInfo, Parameters, Sampled, Scattering,
+    Evaluation, Khungurn, Model, Outgoing, ParameterInfo, Parameters, Parametric, Sampled,
+    Scattering,
 };
 use goniofit::session::Configuration;
 use render_scenes::felt;
@@ -232,13 +233,17 @@ impl Scattering for Bare {
     }
 }
 
-impl Model for Kernelless {
+impl Parametric for Kernelless {
     fn name(&self) -> &'static str {
         "kernelless"
     }
+
     fn parameters(&self) -> &'static [ParameterInfo] {
         Khungurn.parameters()
     }
+}
+
+impl Model for Kernelless {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>> {
         Ok(Box::new(Bare(Khungurn.prepare(parameters)?)))
     }
@@ -400,13 +405,17 @@ impl Scattering for Wrong {
     }
 }
 
-impl Model for WrongDensity {
+impl Parametric for WrongDensity {
     fn name(&self) -> &'static str {
         "wrong density"
     }
+
     fn parameters(&self) -> &'static [ParameterInfo] {
         Khungurn.parameters()
     }
+}
+
+impl Model for WrongDensity {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>> {
         Ok(Box::new(Wrong {
             at: Khungurn.prepare(parameters)?,

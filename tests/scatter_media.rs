@@ -91,7 +91,9 @@ fn microflakes_are_reciprocal_and_the_volume_bcsdf_is_not() {
             assert!((ab - ba).abs() <= 1e-9 * ba + 1e-30, "{ab} {ba}");
         }
     }
-    let medium = KhungurnVolume.prepare(&KhungurnVolume.defaults()).unwrap();
+    let medium = KhungurnVolume
+        .prepare(&Parameters::defaults(&KhungurnVolume))
+        .unwrap();
     let kernel = |a: DVec3, b: DVec3| medium.extinction(b) * medium.evaluate(a, b).value[0];
     let ratios = [(0.0, 5.0), (45.0, -40.0), (80.0, -70.0)].map(|(theta_i, theta_o)| {
         let (wi, wo) = (direction_deg(theta_i, 0.0), direction_deg(theta_o, 143.0));
@@ -273,7 +275,7 @@ fn all_models() -> Vec<&'static dyn MediumModel> {
 #[test]
 fn derivatives_at_the_defaults_and_at_every_bound() {
     for model in all_models() {
-        let defaults = model.defaults();
+        let defaults = Parameters::defaults(model);
         let mut sets = vec![defaults.values().to_vec()];
         for (slot, (row, _)) in defaults.places().into_iter().enumerate() {
             let info = &defaults.infos()[row];
@@ -319,7 +321,7 @@ fn derivatives_at_the_corners_and_where_colors_are_zero_and_one() {
 #[test]
 fn control_derivatives_off_by_a_thousandth_fail() {
     for model in all_models() {
-        let error = derivative_error(model, &model.defaults(), 1.001);
+        let error = derivative_error(model, &Parameters::defaults(model), 1.001);
         assert!(error > 10.0 * TOLERANCE, "{}: {error:.1e}", model.name());
     }
 }
@@ -412,8 +414,13 @@ fn a_direction_that_is_not_a_number_is_not_hidden() {
 fn parameters_are_read_by_name_and_the_density_is_one_if_asked_for() {
     for plain in models() {
         let dense = model(&format!("{}-density", plain.name())).unwrap();
-        let (own, all) = (plain.defaults(), dense.defaults());
-        assert_eq!(plain.read(&own.to_json()).unwrap().to_json(), own.to_json());
+        let (own, all) = (Parameters::defaults(*plain), Parameters::defaults(dense));
+        assert_eq!(
+            Parameters::from_json(*plain, &own.to_json())
+                .unwrap()
+                .to_json(),
+            own.to_json()
+        );
         assert_eq!(all.flat_names().last().unwrap(), "density_scale");
         assert_eq!(own.flat_names()[..], all.flat_names()[..own.values().len()]);
         let mut values = all.values().to_vec();
@@ -427,7 +434,7 @@ fn parameters_are_read_by_name_and_the_density_is_one_if_asked_for() {
         let row = dense.parameters().len() - 1;
         assert_eq!(scaled.extinction_slopes(wo)[row], once.extinction(wo));
     }
-    assert_eq!(KhungurnVolume.defaults().values().len(), 12);
+    assert_eq!(Parameters::defaults(&KhungurnVolume).values().len(), 12);
     let texts = [
         (json!({"albedo": [0.5, 0.5, 0.5]}), "'gamma' is missing"),
         (
@@ -440,7 +447,7 @@ fn parameters_are_read_by_name_and_the_density_is_one_if_asked_for() {
         ),
     ];
     for (object, expected) in texts {
-        let error = Microflake.read(&object).unwrap_err();
+        let error = Parameters::from_json(&Microflake, &object).unwrap_err();
         assert!(error.to_string().contains(expected), "{error}");
     }
 }

@@ -8,8 +8,8 @@ use goniofit::fabric::Fabric;
 use goniofit::math::Random;
 use goniofit::render::{Effort, Estimates, FiberScene, FiberSceneOptions, Request, Scene};
 use goniofit::scatter::{
-    CHANNELS, Evaluation, Khungurn, MAX_ROWS, Model, Outgoing, ParameterInfo, Parameters, Passage,
-    Sampled, Scattering,
+    CHANNELS, Evaluation, Khungurn, MAX_ROWS, Model, Outgoing, ParameterInfo, Parameters,
+    Parametric, Passage, Sampled, Scattering,
 };
 use goniofit::session::Configuration;
 use serde::{Deserialize, Serialize};
@@ -43,7 +43,7 @@ struct ValueOnly;
 
 struct ValueOnlyScattering(Box<dyn Scattering>);
 
-impl Model for ValueOnly {
+impl Parametric for ValueOnly {
     fn name(&self) -> &'static str {
         "khungurn without derivatives"
     }
@@ -51,7 +51,9 @@ impl Model for ValueOnly {
     fn parameters(&self) -> &'static [ParameterInfo] {
         &[]
     }
+}
 
+impl Model for ValueOnly {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>> {
         Ok(Box::new(ValueOnlyScattering(Khungurn.prepare(parameters)?)))
     }

@@ -9,9 +9,9 @@ use crate::base::{Error, Result, Watch};
 use crate::fit::{
     Bounds, Budget, FitResult, Journal, Loss, Method, Options, TAU, fit_with_journal,
 };
-use crate::render::{FiberScene, FiberSceneOptions, Plate, Scene};
+use crate::render::{FiberSceneOptions, Plate, Scene};
 use crate::report::{Provenance, page};
-use crate::scatter::{self, Parameters};
+use crate::scatter::{AnyModel, Parameters, Parametric};
 use crate::session::{Measurements, files};
 use resume::{Begun, What};
 pub(crate) use schedule::Schedule;
@@ -155,7 +155,7 @@ pub(crate) fn tau(text: &str) -> Result<f64, String> {
 
 /// A fit's inputs, read and checked.
 pub(crate) struct Ready {
-    scene: FiberScene,
+    scene: Box<dyn Scene>,
     measurements: Measurements,
     options: Options,
     synthetic: Option<bool>,
@@ -164,7 +164,7 @@ pub(crate) struct Ready {
 }
 
 impl Ready {
-    fn model(&self) -> &'static dyn scatter::Model {
+    fn model(&self) -> &'static dyn Parametric {
         self.scene.model()
     }
 }
@@ -186,10 +186,11 @@ impl Asked {
 
     /// Reads everything the fit needs and builds its scene.
     pub(crate) fn read(&self) -> Result<Ready> {
-        let mut model = scatter::model(&self.model)?;
+        let mut any = AnyModel::named(&self.model)?;
         if self.per_system {
-            model = scatter::per_system(model)?;
+            any = any.per_system()?;
         }
+        let model = any.parametric();
         let start = self.start.as_deref();
         let mut options = Options {
             method: Method::named(&self.method)?,
@@ -207,7 +208,7 @@ impl Asked {
         let (measurements, stated) = Measurements::read_with_origin(&self.measurements)?;
         let (surroundings, of_session) = self.surroundings()?;
         Ok(Ready {
-            scene: render::fiber_scene(&self.fabric, model, surroundings)?,
+            scene: render::scene(&self.fabric, any, surroundings)?,
             measurements,
             options,
             notes,
@@ -238,7 +239,7 @@ impl Asked {
             options,
             ..
         } = ready;
-        let result = fit_with_journal(scene, measurements, options, Some(journal), watch)?;
+        let result = fit_with_journal(&**scene, measurements, options, Some(journal), watch)?;
         Ok(FitResult {
             fabric: self.fabric.display().to_string(),
             measurements: self.measurements.display().to_string(),

@@ -2,13 +2,13 @@
 
 use crate::base::{Context, Error, Result};
 use crate::fit::FitResult;
-use crate::scatter::{Model, Parameters, YARN_SYSTEMS, per_system};
+use crate::scatter::{AnyModel, Parameters, Parametric, YARN_SYSTEMS};
 use crate::session::{SessionFolder, files};
 use serde_json::Value;
 use std::path::Path;
 
 /// Reads a parameter file (JSON) for `model`, or the parameters of a fit.json.
-pub(crate) fn parameters(path: &Path, model: &dyn Model) -> Result<Parameters> {
+pub(crate) fn parameters(path: &Path, model: &dyn Parametric) -> Result<Parameters> {
     Parameters::from_json(model, &parameters_object(path)?)
         .context(|| format!("parameters {}", path.display()))
 }
@@ -24,15 +24,17 @@ fn parameters_object(path: &Path) -> Result<Value> {
 }
 
 /// As [`parameters`], for the model with parameters per yarn system where the file has them.
-pub(crate) fn parameters_and_model(
-    path: &Path,
-    model: &'static dyn Model,
-) -> Result<(Parameters, &'static dyn Model)> {
+pub(crate) fn parameters_and_model(path: &Path, model: AnyModel) -> Result<(Parameters, AnyModel)> {
     let what = || format!("parameters {}", path.display());
     let object = parameters_object(path)?;
     let by_system = YARN_SYSTEMS.iter().any(|s| object.get(s).is_some());
-    let model = if by_system { per_system(model)? } else { model };
-    Ok((Parameters::from_json(model, &object).context(what)?, model))
+    let model = if by_system {
+        model.per_system()?
+    } else {
+        model
+    };
+    let parameters = Parameters::from_json(model.parametric(), &object).context(what)?;
+    Ok((parameters, model))
 }
 
 /// Reads a fit.json, given it or the folder that holds it.

@@ -4,9 +4,9 @@ use super::output::{data, pose_degrees};
 use super::{Outcome, fit, inputs, render, terminal::Terminal};
 use crate::base::{Error, Result};
 use crate::fit::{Compared, Comparison, FitResult, Prediction, compare, predict};
-use crate::render::{Effort, FiberScene, FiberSceneOptions, Plate};
+use crate::render::{Effort, FiberSceneOptions, Plate, Scene};
 use crate::rig::RigDescription;
-use crate::scatter;
+use crate::scatter::AnyModel;
 use crate::session::{Configuration, Measurements, Plan};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -77,7 +77,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         None => Effort::Accuracy(a.accuracy.unwrap_or(0.01)),
     };
     let terminal = Terminal::new()?;
-    let predictions = predict(&scene, &result, &poses, &effort, a.seed, &terminal)?;
+    let predictions = predict(&*scene, &result, &poses, &effort, a.seed, &terminal)?;
     terminal.finish_stage();
     let comparison = measurements
         .map(|m| compare(&predictions, &m, result.tau))
@@ -103,7 +103,7 @@ pub(super) fn scene_of(
     fabric: Option<&Path>,
     rig: Option<&Path>,
     plate: Option<Plate>,
-) -> Result<FiberScene> {
+) -> Result<Box<dyn Scene>> {
     let plate = plate.map_or_else(|| fit::plate_of(result), Ok)?;
     let surroundings = match rig {
         Some(rig) => FiberSceneOptions {
@@ -113,7 +113,7 @@ pub(super) fn scene_of(
         None => fit::surroundings_of(Path::new(&result.measurements), plate)?.0,
     };
     let fabric = fabric.unwrap_or(Path::new(&result.fabric));
-    render::fiber_scene(fabric, scatter::model(&result.model)?, surroundings)
+    render::scene(fabric, AnyModel::named(&result.model)?, surroundings)
 }
 
 /// The pose's columns of `measurements.csv`.

@@ -8,10 +8,11 @@ use super::output::data;
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
 use crate::render::{
-    Effort, Estimates, FiberScene, FiberSceneOptions, Integrator, LightShape, Request, Scene,
+    DEFAULT_DENSITY, Effort, Estimates, FiberScene, FiberSceneOptions, Integrator, LightShape,
+    Request, Scene, VolumeScene,
 };
 use crate::rig::{LightSource, RigDescription};
-use crate::scatter::Parameters;
+use crate::scatter::{AnyModel, Parameters};
 use crate::session::{SessionFolder, files};
 use crate::{fabric, scatter::Model};
 use serde_json::{Value, json};
@@ -97,6 +98,31 @@ pub(crate) fn fiber_scene(
         .context(|| format!("fabric '{}' cannot be rendered", fabric.name))
 }
 
+/// Reads a fabric of either kind and makes it a scene for `model`.
+pub(crate) fn scene(
+    fabric: &Path,
+    model: AnyModel,
+    options: FiberSceneOptions,
+) -> Result<Box<dyn Scene>> {
+    let model = match model {
+        AnyModel::Fibers(model) => return Ok(Box::new(fiber_scene(fabric, model, options)?)),
+        AnyModel::Medium(model) => model,
+    };
+    if fabric::voxel_file(fabric).is_none() && fabric::load(fabric).is_ok() {
+        let name = model.name();
+        return Err(Error::new(format!(
+            "fabric {} describes fibers, model {name} is one of volumes",
+            fabric.display()
+        ))
+        .with_hint("for fibers: --model khungurn; for voxels: a description with kind = \"voxels\" (docs/fabric.md)"));
+    }
+    let fabric = fabric::load_voxels(fabric)?;
+    let density = fabric.density_per_mm.unwrap_or(DEFAULT_DENSITY);
+    let scene = VolumeScene::new(fabric.tile, density, model, options)
+        .context(|| format!("fabric '{}' cannot be rendered", fabric.name))?;
+    Ok(Box::new(scene))
+}
+
 /// What a rig puts around the cloth.
 pub(crate) fn surroundings(rig: &RigDescription) -> Result<FiberSceneOptions> {
     around(&rig.name, &rig.light, rig.camera.sample_square_mm)
@@ -140,10 +166,13 @@ fn means(a: &MeansArguments) -> Result<Outcome> {
         scene,
         parameters,
         configurations,
-    } = a.subject.read(match a.integrator {
-        Integrators::Fast => Integrator::Fast,
-        Integrators::Basic => Integrator::Basic,
-    })?;
+    } = a.subject.read(
+        match a.integrator {
+            Integrators::Fast => Integrator::Fast,
+            Integrators::Basic => Integrator::Basic,
+        },
+        scene,
+    )?;
     let terminal = Terminal::new()?;
     let effort = match (a.paths, a.accuracy) {
         (Some(n), _) => Effort::Paths(n),

@@ -7,7 +7,7 @@ use crate::base::{Error, Result};
 use crate::fit::{Budget, Comparison, FitResult, Options, Refit, fit, validate};
 use crate::render::Plate;
 use crate::report::prediction_chart;
-use crate::scatter;
+use crate::scatter::AnyModel;
 use crate::session::{Measurements, files};
 use std::path::PathBuf;
 
@@ -84,14 +84,14 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     if let Some(given) = &given {
         check_same(given, &measurements)?;
     }
-    let model = scatter::model(given.as_ref().map_or(&a.model, |fit| &fit.model))?;
+    let model = AnyModel::named(given.as_ref().map_or(&a.model, |fit| &fit.model))?;
     let plate = match (a.plate, &given) {
         (Some(plate), _) => plate,
         (None, Some(fit)) => fit_command::plate_of(fit)?,
         (None, None) => Plate::Black,
     };
     let (surroundings, _) = fit_command::surroundings_of(&a.measurements, plate)?;
-    let scene = render::fiber_scene(&a.fabric, model, surroundings)?;
+    let scene = render::scene(&a.fabric, model, surroundings)?;
     let terminal = Terminal::new()?;
     let full = match given {
         Some(full) => full,
@@ -102,7 +102,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
                 accuracy: None,
             };
             fit(
-                &scene,
+                &*scene,
                 &measurements,
                 &Options::new(a.seed, budget),
                 &terminal,
@@ -116,7 +116,7 @@ pub(crate) fn run(a: Arguments) -> Result<Outcome> {
         vec![a.hold_out.clone()]
     };
     let comparison = validate(
-        &scene,
+        &*scene,
         &measurements,
         &full,
         &folds,

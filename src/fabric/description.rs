@@ -134,6 +134,11 @@ pub fn fiber_file(path: &Path) -> Option<PathBuf> {
 /// Makes the fabric a description says; a fiber file it names is looked for in `folder`.
 fn read(text: &str, folder: &Path) -> Result<Fabric> {
     let table: toml::Table = parse(text)?;
+    if table.get("kind").and_then(|k| k.as_str()) == Some("voxels") {
+        return Err(Error::new("it describes voxels, expected fibers").with_hint(
+            "render, fit, predict and validate take voxels with a model of volumes: --model khungurn-volume",
+        ));
+    }
     if table.contains_key("fibers") {
         return imported(parse(text)?, folder);
     }
@@ -153,7 +158,7 @@ fn read(text: &str, folder: &Path) -> Result<Fabric> {
     })
 }
 
-fn parse<T: serde::de::DeserializeOwned>(text: &str) -> Result<T> {
+pub(super) fn parse<T: serde::de::DeserializeOwned>(text: &str) -> Result<T> {
     toml::from_str(text).map_err(|e: toml::de::Error| {
         let line = e
             .span()

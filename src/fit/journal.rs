@@ -12,7 +12,7 @@ mod pair;
 use super::options::{Budget, Options};
 use crate::base::{Context, Error, Result};
 use crate::render::Estimates;
-use crate::scatter::Model;
+use crate::scatter::Parametric;
 pub(super) use pair::Asked;
 use pair::{Columns, PairLine};
 use serde::{Deserialize, Serialize};
@@ -53,7 +53,11 @@ impl JournalHeader {
     pub const FORMAT: &'static str = "goniofit-renders-1";
 
     /// The header of a fit with these options; without a command line.
-    pub fn new(model: &dyn Model, options: &Options, inputs: BTreeMap<String, String>) -> Self {
+    pub fn new(
+        model: &dyn Parametric,
+        options: &Options,
+        inputs: BTreeMap<String, String>,
+    ) -> Self {
         let others = Options {
             budget: Budget::default(),
             seed: 0,

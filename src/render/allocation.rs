@@ -2,7 +2,7 @@
 
 use super::estimate::Moments;
 use super::light::Lamp;
-use super::scene::FiberScene;
+use super::scene::FiberSceneOptions;
 use super::{Effort, MIN_PATHS, TAU, relative_error_weight};
 use crate::scatter::CHANNELS;
 use crate::session::Configuration;
@@ -20,7 +20,7 @@ pub(super) struct Group {
     pub(super) lamps: Vec<Lamp>,
 }
 
-pub(super) fn groups(scene: &FiberScene, configurations: &[Configuration]) -> Vec<Group> {
+pub(super) fn groups(options: &FiberSceneOptions, configurations: &[Configuration]) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     for (index, c) in configurations.iter().enumerate() {
         let toward_camera = c.camera_in_sample().vector();
@@ -37,7 +37,7 @@ pub(super) fn groups(scene: &FiberScene, configurations: &[Configuration]) -> Ve
         }
     }
     for group in &mut groups {
-        group.lamps = scene.lamps(group.members.iter().map(|&i| configurations[i]));
+        group.lamps = options.lamps(group.members.iter().map(|&i| configurations[i]));
     }
     groups
 }

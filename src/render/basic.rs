@@ -7,7 +7,7 @@
 //!
 //! Where it is noisy: light is found by the lamp's point alone, so a lobe much narrower than the lamp is hit rarely.
 
-use super::estimate::cpu_seconds;
+use super::estimate::Clock;
 use super::geometry::{Ended, Hit, Skip};
 use super::light::Lamp;
 use super::scene::{FiberScene, Plate};
@@ -23,14 +23,14 @@ use std::f64::consts::{PI, TAU};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Row 0: a value per channel; the others: its derivatives by the model's rows, then zeros.
-type Graded<T = f64> = [[T; CHANNELS]; 1 + MAX_DERIVATIVES];
+pub(super) type Graded<T = f64> = [[T; CHANNELS]; 1 + MAX_DERIVATIVES];
 
-fn constant(value: [f64; CHANNELS]) -> Graded {
+pub(super) fn constant(value: [f64; CHANNELS]) -> Graded {
     std::array::from_fn(|row| if row == 0 { value } else { [0.0; CHANNELS] })
 }
 
 /// What an event multiplies with, its derivatives by the rows from `first` on.
-fn scattered(e: &Evaluation, factor: f64, first: usize) -> Graded {
+pub(super) fn scattered(e: &Evaluation, factor: f64, first: usize) -> Graded {
     let mut graded = constant(e.value.map(|x| x * factor));
     for (row, derivative) in graded[1 + first..].iter_mut().zip(e.derivative) {
         *row = derivative.map(|x| x * factor);
@@ -39,7 +39,7 @@ fn scattered(e: &Evaluation, factor: f64, first: usize) -> Graded {
 }
 
 /// The product rule: what Khungurn 2015 eq. 17 writes as a sum of scores, without dividing by a value that may be zero.
-fn times(a: &Graded, b: &Graded, rows: usize) -> Graded {
+pub(super) fn times(a: &Graded, b: &Graded, rows: usize) -> Graded {
     let mut product = *a;
     for c in 0..CHANNELS {
         product[0][c] *= b[0][c];
@@ -70,10 +70,10 @@ struct Tracer<'a> {
     found: Graded,
 }
 
-impl Tracer<'_> {
+impl Plain for Tracer<'_> {
     /// The normalized radiance of a camera ray that meets the plane z = 0 in a uniform point of the sample square.
     fn path(&mut self, toward_camera: DVec3) -> Graded {
-        let through = self.scene.start(&mut self.random);
+        let through = self.scene.options.start(&mut self.random);
         let back = (self.scene.options.view).toward_camera(through, toward_camera);
         let height = self.scene.geometry.z_range()[1].max(0.0);
         let mut next = Some(Ray {
@@ -101,7 +101,9 @@ impl Tracer<'_> {
         }
         self.found
     }
+}
 
+impl Tracer<'_> {
     fn fiber(&mut self, ray: &Ray, hit: Hit) -> Option<Ray> {
         let (start, end, _) = self.scene.geometry.placed(hit.image);
         let skip = self.scene.geometry.skip(hit.image);
@@ -230,35 +232,50 @@ pub(super) fn estimate(
     request: &Request<'_>,
     watch: &dyn Watch,
 ) -> Result<Estimates> {
-    let clock = (std::time::Instant::now(), cpu_seconds());
     let scattering = scene.model.prepare_each(request.parameters)?;
+    let tracer = |c: &Configuration, random| Tracer {
+        scene,
+        scattering: &scattering,
+        rows: request.parameters.infos().len(),
+        lamp: Lamp::new(scene.options.light, c.light_in_sample()),
+        random,
+        found: constant([0.0; CHANNELS]),
+    };
+    estimate_with(tracer, request, watch)
+}
+
+/// Whoever follows plain paths for one configuration.
+pub(super) trait Plain {
+    /// The normalized radiance of one camera path, and its derivatives.
+    fn path(&mut self, toward_camera: DVec3) -> Graded;
+}
+
+/// The estimates from the paths of whom `tracer` makes for a configuration and a stream of random numbers.
+pub(super) fn estimate_with<T: Plain>(
+    tracer: impl Fn(&Configuration, Random) -> T + Sync,
+    request: &Request<'_>,
+    watch: &dyn Watch,
+) -> Result<Estimates> {
+    let clock = Clock::now();
+    let rows = request.parameters.infos().len();
     let all = request.configurations;
     let render = |round: u64, paths: &[u64]| {
         let one = |(index, c): (usize, &Configuration)| {
-            let tracer = |task: u64| Tracer {
-                scene,
-                scattering: &scattering,
-                rows: request.parameters.infos().len(),
-                lamp: Lamp::new(scene.options.light, c.light_in_sample()),
-                random: Random::keyed(&[
-                    BASIC,
-                    request.seed,
-                    request.stream,
-                    round,
-                    index as u64,
-                    task,
-                ]),
-                found: constant([0.0; CHANNELS]),
+            let tracer = |task: u64| {
+                let place = [request.stream, round, index as u64, task];
+                let [stream, round, index, task] = place;
+                let key = [BASIC, request.seed, stream, round, index, task];
+                tracer(c, Random::keyed(&key))
             };
             let stage = format!("configuration {} of {}", index + 1, all.len());
             finished(
                 c,
-                &scatter(tracer, c, paths[index], &stage, watch)?,
+                &scatter(tracer, rows, c, paths[index], &stage, watch)?,
                 request,
             )
         };
         let configurations = all.iter().enumerate().map(one).collect::<Result<_>>()?;
-        let (wall_s, cpu_s) = (clock.0.elapsed().as_secs_f64(), cpu_seconds() - clock.1);
+        let (wall_s, cpu_s) = (clock.wall_s(), clock.cpu_s());
         Ok::<_, Error>(Estimates {
             configurations,
             cpu_s,
@@ -291,8 +308,9 @@ pub(super) fn estimate(
 }
 
 /// Mean and scatter of a configuration's paths.
-fn scatter<'a>(
-    tracer: impl Fn(u64) -> Tracer<'a> + Sync,
+fn scatter<T: Plain>(
+    tracer: impl Fn(u64) -> T + Sync,
+    rows: usize,
     configuration: &Configuration,
     paths: u64,
     stage: &str,
@@ -305,7 +323,7 @@ fn scatter<'a>(
         let (mut tracer, mut sums) = (tracer(number), Graded::<Running>::default());
         for _ in 0..n {
             let path = tracer.path(toward_camera);
-            let used = path[..=tracer.rows].as_flattened();
+            let used = path[..=rows].as_flattened();
             let terms = sums.as_flattened_mut().iter_mut().zip(used);
             terms.for_each(|(sum, x)| sum.push(*x));
         }

@@ -11,16 +11,18 @@ use super::allocation::{
     Group, groups, paths_for_accuracy, planned_paths, weighted_variance, worth,
 };
 use super::guide::{Guide, Lesson, Pupil};
+use super::light::Lamp;
 use super::path::Visitor;
-use super::scene::FiberScene;
+use super::scene::FiberSceneOptions;
 use super::summation::{Rows, Summation, Sums};
 use super::{
     Effort, Estimate, Estimates, MIN_PATHS, Request, TAU, relative_error_weight, weighted_rms,
 };
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
-use crate::scatter::{CHANNELS, Parameters, Scattering};
+use crate::scatter::{CHANNELS, Parameters};
 use crate::session::Configuration;
+use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -43,14 +45,44 @@ const CLEARLY: f64 = 1.5;
 /// What a ray of a guided path costs in rays of one without: more directions are sampled at each hit.
 const GUIDED_RAY: f64 = 1.25;
 
+/// A scene at fixed parameters, through which paths can be followed.
+pub(super) trait Followed: Sync {
+    /// What surrounds the cloth.
+    fn options(&self) -> &FiberSceneOptions;
+
+    /// Follows one camera path with all its branches.
+    fn follow<V: Visitor>(
+        &self,
+        rules: &Rules<'_>,
+        ray: CameraRay,
+        random: &mut Random,
+        visitor: &mut V,
+    );
+}
+
+/// The rules by which the paths of a group are followed.
+pub(super) struct Rules<'a> {
+    pub(super) lamps: &'a [Lamp],
+    /// Per lamp: connections that would add less than this are made with proportionally smaller probability.
+    pub(super) worth: &'a [f64],
+    pub(super) guide: &'a Guide,
+}
+
+/// A ray that arrives at the camera.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CameraRay {
+    /// A point of the plane z = 0.
+    pub(super) through: DVec3,
+    pub(super) toward_camera: DVec3,
+}
+
 /// One round of paths over all groups.
-pub(super) struct Round<'a> {
-    scene: &'a FiberScene,
-    sets: &'a [Box<dyn Scattering + 'a>],
+pub(super) struct Round<'a, F> {
+    followed: &'a F,
     groups: &'a [Group],
     /// Paths per group.
     paths: Vec<u64>,
-    /// Per configuration, see [`super::path::Stage::worth`].
+    /// Per configuration, see [`Rules::worth`].
     worth: Vec<f64>,
     guides: Vec<Guide>,
     /// Key of the random streams: seed, stream, round.
@@ -77,7 +109,7 @@ pub(super) struct Moments {
 /// What a group's pilot paths taught, and how many rays they took.
 type Learned = (Lesson, f64);
 
-impl Round<'_> {
+impl<F: Followed> Round<'_, F> {
     /// Camera paths of all groups.
     pub(super) fn total_paths(&self) -> u64 {
         self.paths.iter().sum()
@@ -134,15 +166,22 @@ impl Round<'_> {
         let g = batch.group;
         let group = &self.groups[g];
         let worth: Vec<f64> = group.members.iter().map(|&m| self.worth[m]).collect();
-        let guide = &self.guides[g];
-        let stage = self.scene.stage(self.sets, &group.lamps, &worth, guide);
+        let rules = Rules {
+            lamps: &group.lamps,
+            worth: &worth,
+            guide: &self.guides[g],
+        };
+        let options = self.followed.options();
         let [seed, stream, round] = self.key;
         let mut random = Random::keyed(&[seed, stream, round, g as u64, batch.number]);
         for _ in 0..batch.paths {
-            let through = self.scene.start(&mut random);
-            let view = self.scene.options.view;
-            let toward_camera = view.toward_camera(through, group.toward_camera);
-            stage.follow(through, toward_camera, &mut random, visitor);
+            let through = options.start(&mut random);
+            let toward_camera = options.view.toward_camera(through, group.toward_camera);
+            let ray = CameraRay {
+                through,
+                toward_camera,
+            };
+            self.followed.follow(&rules, ray, &mut random, visitor);
             finish_path(visitor);
         }
     }
@@ -266,7 +305,12 @@ impl Settled {
 
     /// Takes over a pilot's results, and learns from it where it was large enough. A guide that made things clearly worse
     /// is dropped for good.
-    fn learn(&mut self, round: &Round<'_>, moments: Vec<Moments>, learned: &[Learned]) {
+    fn learn<F: Followed>(
+        &mut self,
+        round: &Round<'_, F>,
+        moments: Vec<Moments>,
+        learned: &[Learned],
+    ) {
         for (g, (lesson, rays)) in learned.iter().enumerate() {
             let members = &round.groups[g].members;
             let paths = round.paths[g] as f64;
@@ -301,17 +345,15 @@ impl Settled {
 }
 
 /// The round of paths that are kept, its path counts and rules settled by pilots.
-pub(super) fn plan<'a>(
-    scene: &'a FiberScene,
-    sets: &'a [Box<dyn Scattering + 'a>],
+pub(super) fn plan<'a, F: Followed>(
+    followed: &'a F,
     groups: &'a [Group],
     request: &Request<'_>,
     watch: &dyn Watch,
-) -> Result<Round<'a>> {
+) -> Result<Round<'a, F>> {
     let n = request.configurations.len();
     let round = |number: u64, paths: Vec<u64>, settled: &Settled, stage_name| Round {
-        scene,
-        sets,
+        followed,
         groups,
         paths,
         worth: worth(&settled.moments),
@@ -360,16 +402,15 @@ pub(super) fn plan<'a>(
 
 /// See [`super::Scene::estimate`].
 pub(super) fn estimate(
-    scene: &FiberScene,
+    followed: &impl Followed,
+    rows: Rows,
+    clock: &Clock,
     request: &Request<'_>,
     watch: &dyn Watch,
 ) -> Result<Estimates> {
-    let clock = (std::time::Instant::now(), cpu_seconds());
     let configurations = request.configurations;
-    let sets = scene.model.prepare_each(request.parameters)?;
-    let groups = groups(scene, configurations);
-    let last = plan(scene, &sets, &groups, request, watch)?;
-    let rows = Rows::of(scene.model);
+    let groups = groups(followed.options(), configurations);
+    let last = plan(followed, &groups, request, watch)?;
     let moments = last.render(rows, configurations.len(), watch)?;
     let finish = |(index, c): (usize, &Configuration)| {
         let paths = last.paths_of(index);
@@ -381,8 +422,8 @@ pub(super) fn estimate(
             .enumerate()
             .map(finish)
             .collect::<Result<_>>()?,
-        cpu_s: cpu_seconds() - clock.1,
-        wall_s: clock.0.elapsed().as_secs_f64(),
+        cpu_s: clock.cpu_s(),
+        wall_s: clock.wall_s(),
     })
 }
 
@@ -452,6 +493,31 @@ impl Estimates {
                 .iter()
                 .map(|e| (weight(e), e.standard_error)),
         )
+    }
+}
+
+/// What a task takes.
+pub(super) struct Clock {
+    wall: std::time::Instant,
+    cpu: f64,
+}
+
+impl Clock {
+    pub(super) fn now() -> Self {
+        Self {
+            wall: std::time::Instant::now(),
+            cpu: cpu_seconds(),
+        }
+    }
+
+    /// CPU time of all threads since then, seconds.
+    pub(super) fn cpu_s(&self) -> f64 {
+        cpu_seconds() - self.cpu
+    }
+
+    /// Elapsed time since then, seconds.
+    pub(super) fn wall_s(&self) -> f64 {
+        self.wall.elapsed().as_secs_f64()
     }
 }
 

@@ -10,7 +10,6 @@
 //! unit carried (summed over lamps with the objective's weights), `R` the rays they cost, and `V`, `C` variance and rays of
 //! a whole path. Any table gives unbiased estimates as long as it was fixed beforehand: a bad one costs time.
 
-use super::geometry::{Ended, Geometry, Skip};
 use super::path::{Event, Visitor};
 use crate::scatter::CHANNELS;
 use glam::DVec3;
@@ -42,18 +41,15 @@ pub(super) struct StateMap {
 }
 
 impl StateMap {
-    pub(super) fn new(geometry: &Geometry, size: [f64; 2]) -> Self {
-        let z_range = geometry.z_range();
-        let above = z_range[1] + (z_range[1] - z_range[0]);
+    /// `surface` is the height of what is first seen from above at a point of the tile, the cloth reaches over `z_range`.
+    pub(super) fn new(
+        size: [f64; 2],
+        z_range: [f64; 2],
+        surface: impl Fn(f64, f64) -> f64,
+    ) -> Self {
         let at = |i: usize, size: f64| (i as f64 + 0.5) / MAP as f64 * size;
         let top = (0..MAP * MAP)
-            .map(|k| {
-                let p = DVec3::new(at(k % MAP, size[0]), at(k / MAP, size[1]), above);
-                match geometry.closest(p, -DVec3::Z, &Skip::NOTHING) {
-                    Ended::Fiber(hit) => above - hit.distance,
-                    Ended::Up | Ended::Down => z_range[0],
-                }
-            })
+            .map(|k| surface(at(k % MAP, size[0]), at(k / MAP, size[1])))
             .collect();
         Self { size, z_range, top }
     }

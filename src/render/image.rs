@@ -66,7 +66,7 @@ impl FiberScene {
         request.check()?;
         self.check_poses(request.configurations)?;
         let sets = self.model.prepare_each(request.parameters)?;
-        let groups = groups(self, request.configurations);
+        let groups = groups(&self.options, request.configurations);
         let mut pictures = vec![None; request.configurations.len()];
         for (g, group) in groups.iter().enumerate() {
             let canvas = Canvas {

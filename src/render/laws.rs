@@ -2,9 +2,10 @@
 //! estimator, and derivatives along one path.
 
 use super::geometry::{Ended, Geometry, Skip};
-use super::guide::{Guide, StateMap};
+use super::guide::Guide;
 use super::light::{Lamp, LightShape};
 use super::path::{Event, Stage, Visitor};
+use super::scene::surface_map;
 use super::summation::{Rows, Summation};
 use super::{Effort, FiberScene, FiberSceneOptions, Plate, Request, Scene};
 use crate::base::Unwatched;
@@ -146,7 +147,7 @@ fn a_single_fiber_in_a_furnace_reflects_its_reverse_albedo() {
     let bound = limit(sidak_level(1e-3, 15));
     let geometry = Geometry::new(&one_fiber(1000.0, 0.008)).unwrap();
     let guide = Guide::FRESH;
-    let map = StateMap::new(&geometry, [1000.0; 2]);
+    let map = surface_map(&geometry, [1000.0; 2]);
     let p = parameters([0.9, 0.3, 0.0, 0.05, 0.6, 1.0, 2.0, 45.0, 23.0]);
     let sets = khungurn().prepare_each(&p).unwrap();
     let scattering = &sets[0];
@@ -233,7 +234,7 @@ fn single_scattering_by_a_straight_fiber_has_its_closed_form() {
     let (size, radius) = (10.0, 0.4);
     let geometry = Geometry::new(&one_fiber(size, radius)).unwrap();
     let guide = Guide::FRESH;
-    let map = StateMap::new(&geometry, [size; 2]);
+    let map = surface_map(&geometry, [size; 2]);
     let p = parameters([0.2, 0.3, 0.1, 0.8, 0.7, 0.9, 8.0, 30.0, 30.0]);
     let sets = khungurn().prepare_each(&p).unwrap();
     let scattering = &sets[0];
@@ -315,7 +316,7 @@ fn naive_path(
     kept: f64,
 ) -> [f64; 3] {
     let geometry = &scene.geometry;
-    let through = scene.start(random);
+    let through = scene.options.start(random);
     let mut direction = -toward_camera;
     let mut origin = through + toward_camera * (geometry.z_range()[1] / toward_camera.z);
     let mut weight = [1.0; 3];
@@ -502,7 +503,7 @@ fn derivatives_match_finite_differences_along_one_path() {
         let toward_camera = PolarDirection::from_degrees(50.0, 10.0).vector();
         for path in 0..400 {
             let mut random = Random::keyed(&[9, path]);
-            let through = scene.start(&mut random);
+            let through = scene.options.start(&mut random);
             let mut again = random.clone();
             let mut recorder = Recorder::default();
             stage.follow(through, toward_camera, &mut random, &mut recorder);

@@ -18,6 +18,7 @@ mod probe;
 mod record;
 mod scene;
 mod summation;
+mod volume;
 mod within;
 
 pub use light::LightShape;
@@ -27,9 +28,10 @@ pub use record::{
     ConfigurationTrust, Recalled, RecordOptions, Recording, RecordingPair, TRUST_THRESHOLD, Trust,
 };
 pub use scene::{FiberScene, FiberSceneOptions, Integrator, Plate, View};
+pub use volume::{DEFAULT_DENSITY, FlightSpeed, VolumeScene};
 
 use crate::base::{Error, Result, Watch};
-use crate::scatter::{Model, Parameters};
+use crate::scatter::{Parameters, Parametric};
 use crate::session::Configuration;
 
 /// Fewest paths per configuration an estimate can be made from: below, batch means say nothing about the error.
@@ -134,7 +136,7 @@ pub struct Estimates {
 /// Anything that estimates means and derivatives.
 pub trait Scene: Sync {
     /// The model whose parameters it takes.
-    fn model(&self) -> &'static dyn Model;
+    fn model(&self) -> &'static dyn Parametric;
 
     /// Unbiased estimates of the request's means and derivatives; the same request gives the same numbers on any number
     /// of threads.

@@ -73,10 +73,10 @@ pub(super) struct Stage<'a> {
 }
 
 /// Least probability with which a small connection is made.
-const CONNECTION_FLOOR: f64 = 0.01;
+pub(super) const CONNECTION_FLOOR: f64 = 0.01;
 
 /// Steps of the two-dimensional lattice of Roberts 2018 (powers of the inverse plastic number) for points on a lamp.
-const LATTICE: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
+pub(super) const LATTICE: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
 
 /// A ray of a path, with what it carries and how it began.
 struct Leg {
@@ -374,9 +374,7 @@ impl Stage<'_> {
                 visitor.arrive(leg.depth, index, albedo.map(|a| a * factor));
             }
         }
-        let (sin2, turn) = (random.uniform(), TAU * random.uniform());
-        let cosine = (1.0 - sin2).sqrt();
-        let direction = DVec3::new(sin2.sqrt() * turn.cos(), sin2.sqrt() * turn.sin(), cosine);
+        let (direction, pdf) = cosine_direction(random);
         let grown = times(leg.carried, albedo);
         let state = self.map.state(point, direction);
         let survival = self.guide.survival(state, grown);
@@ -390,7 +388,7 @@ impl Stage<'_> {
                 within: false,
                 begun: Begun::Plate {
                     weight: albedo.map(|a| a / survival),
-                    pdf: cosine * FRAC_1_PI,
+                    pdf,
                     from: point,
                     state,
                 },
@@ -400,20 +398,20 @@ impl Stage<'_> {
 }
 
 /// Systematic resampling: of candidates taken with given probabilities, as nearly as possible the expected number is taken.
-struct Comb {
+pub(super) struct Comb {
     sum: f64,
     next: f64,
 }
 
 impl Comb {
-    fn new(random: &mut Random) -> Self {
+    pub(super) fn new(random: &mut Random) -> Self {
         Self {
             sum: 0.0,
             next: random.uniform(),
         }
     }
 
-    fn takes(&mut self, probability: f64) -> bool {
+    pub(super) fn takes(&mut self, probability: f64) -> bool {
         self.sum += probability;
         // What is not a number goes on and is found in the result.
         let taken = self.sum > self.next || self.sum.is_nan();
@@ -424,12 +422,20 @@ impl Comb {
     }
 }
 
-fn times(a: [f64; CHANNELS], b: [f64; CHANNELS]) -> [f64; CHANNELS] {
+pub(super) fn times(a: [f64; CHANNELS], b: [f64; CHANNELS]) -> [f64; CHANNELS] {
     std::array::from_fn(|c| a[c] * b[c])
 }
 
+/// A direction above the horizon with density `cos / pi`, and that density, 1/sr.
+pub(super) fn cosine_direction(random: &mut Random) -> (DVec3, f64) {
+    let (sin2, turn) = (random.uniform(), TAU * random.uniform());
+    let cosine = (1.0 - sin2).sqrt();
+    let direction = DVec3::new(sin2.sqrt() * turn.cos(), sin2.sqrt() * turn.sin(), cosine);
+    (direction, cosine * FRAC_1_PI)
+}
+
 /// The largest; not a number if one of them is none.
-fn largest(v: [f64; CHANNELS]) -> f64 {
+pub(super) fn largest(v: [f64; CHANNELS]) -> f64 {
     let none = v.iter().find(|x| x.is_nan()).copied();
     none.unwrap_or(v[0].max(v[1]).max(v[2]))
 }

@@ -1,14 +1,16 @@
 //! A woven or imported fiber tile as a scene: flat swatch, a plate below, square light, camera.
 
-use super::geometry::Geometry;
+use super::estimate::{CameraRay, Clock, Followed, Rules};
+use super::geometry::{Ended, Geometry, Skip};
 use super::guide::{Guide, StateMap};
 use super::light::{Lamp, LightShape};
-use super::path::Stage;
+use super::path::{Stage, Visitor};
+use super::summation::Rows;
 use super::{Estimates, RecordOptions, RecordedPaths, Request, Scene, basic, estimate};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::FiberTile;
 use crate::math::Random;
-use crate::scatter::{Model, Scattering};
+use crate::scatter::{Model, Parametric, Scattering};
 use crate::session::Configuration;
 use glam::DVec3;
 use std::collections::BTreeSet;
@@ -73,7 +75,7 @@ pub struct FiberSceneOptions {
 
 impl FiberSceneOptions {
     /// Refuses sizes and distances that are not positive, and albedos outside 0..=1.
-    fn check(&self) -> Result<()> {
+    pub(super) fn check(&self) -> Result<()> {
         let mut lengths = vec![
             ("the light's side", self.light.side),
             ("the light's distance", self.light.distance),
@@ -96,6 +98,56 @@ impl FiberSceneOptions {
             _ => Ok(()),
         }
     }
+
+    pub(super) fn lamps(&self, configurations: impl Iterator<Item = Configuration>) -> Vec<Lamp> {
+        configurations
+            .map(|c| Lamp::new(self.light, c.light_in_sample()))
+            .collect()
+    }
+
+    /// Refuses poses whose light or camera stands inside the cloth.
+    pub(super) fn check_poses(
+        &self,
+        [bottom, top]: [f64; 2],
+        configurations: &[Configuration],
+    ) -> Result<()> {
+        for c in configurations {
+            let height = self.light.distance * c.light.theta.cos();
+            if (bottom..=top).contains(&height) {
+                return Err(Error::new(format!(
+                    "configuration {}: the light's center is {height:.3} mm above the sample plane, in the cloth, which \
+                     reaches from {bottom:.3} to {top:.3} mm",
+                    c.id
+                ))
+                .with_hint("a larger light distance, or a light that is not in the sample plane"));
+            }
+        }
+        let View::Pinhole { distance } = self.view else {
+            return Ok(());
+        };
+        for c in configurations {
+            let height = distance * c.camera.theta.cos();
+            if height <= top {
+                return Err(Error::new(format!(
+                    "configuration {}: the camera is {height:.3} mm above the sample plane, in the cloth, which reaches \
+                     {top:.3} mm",
+                    c.id
+                ))
+                .with_hint("a larger camera distance"));
+            }
+        }
+        Ok(())
+    }
+
+    /// A uniform point of the sample square on the plane z = 0.
+    pub(super) fn start(&self, random: &mut Random) -> DVec3 {
+        let side = self.sample_square;
+        DVec3::new(
+            (random.uniform() - 0.5) * side,
+            (random.uniform() - 0.5) * side,
+            0.0,
+        )
+    }
 }
 
 impl Default for FiberSceneOptions {
@@ -109,6 +161,19 @@ impl Default for FiberSceneOptions {
             integrator: Integrator::Fast,
         }
     }
+}
+
+/// Where the guide's states are, from the fibers seen from above.
+pub(super) fn surface_map(geometry: &Geometry, size: [f64; 2]) -> StateMap {
+    let [low, high] = geometry.z_range();
+    let above = high + (high - low);
+    StateMap::new(size, [low, high], |x, y| {
+        let from = DVec3::new(x, y, above);
+        match geometry.closest(from, -DVec3::Z, &Skip::NOTHING) {
+            Ended::Fiber(hit) => above - hit.distance,
+            Ended::Up | Ended::Down => low,
+        }
+    })
 }
 
 /// Refuses a tile whose yarn systems are not those of `model`, where that has parameters for each.
@@ -164,7 +229,7 @@ impl FiberScene {
         check_systems(tile, model)?;
         let geometry = Geometry::new(tile)?;
         Ok(Self {
-            map: StateMap::new(&geometry, tile.size),
+            map: surface_map(&geometry, tile.size),
             geometry,
             model,
             options,
@@ -172,51 +237,10 @@ impl FiberScene {
         })
     }
 
-    pub(super) fn lamps(&self, configurations: impl Iterator<Item = Configuration>) -> Vec<Lamp> {
-        configurations
-            .map(|c| Lamp::new(self.options.light, c.light_in_sample()))
-            .collect()
-    }
-
     /// Refuses poses whose light or camera stands inside the cloth.
     pub(super) fn check_poses(&self, configurations: &[Configuration]) -> Result<()> {
-        let [bottom, top] = self.geometry.z_range();
-        for c in configurations {
-            let height = self.options.light.distance * c.light.theta.cos();
-            if (bottom..=top).contains(&height) {
-                return Err(Error::new(format!(
-                    "configuration {}: the light's center is {height:.3} mm above the sample plane, in the cloth, which \
-                     reaches from {bottom:.3} to {top:.3} mm",
-                    c.id
-                ))
-                .with_hint("a larger light distance, or a light that is not in the sample plane"));
-            }
-        }
-        let View::Pinhole { distance } = self.options.view else {
-            return Ok(());
-        };
-        for c in configurations {
-            let height = distance * c.camera.theta.cos();
-            if height <= top {
-                return Err(Error::new(format!(
-                    "configuration {}: the camera is {height:.3} mm above the sample plane, in the cloth, which reaches \
-                     {top:.3} mm",
-                    c.id
-                ))
-                .with_hint("a larger camera distance"));
-            }
-        }
-        Ok(())
-    }
-
-    /// A uniform point of the sample square on the plane z = 0.
-    pub(super) fn start(&self, random: &mut Random) -> DVec3 {
-        let side = self.options.sample_square;
-        DVec3::new(
-            (random.uniform() - 0.5) * side,
-            (random.uniform() - 0.5) * side,
-            0.0,
-        )
+        let z_range = self.geometry.z_range();
+        self.options.check_poses(z_range, configurations)
     }
 
     pub(super) fn stage<'a>(
@@ -238,8 +262,32 @@ impl FiberScene {
     }
 }
 
+/// A scene of fibers at fixed parameters.
+pub(super) struct FiberPaths<'a> {
+    pub(super) scene: &'a FiberScene,
+    /// The scattering functions: of all fibers, or of each yarn system's.
+    pub(super) sets: &'a [Box<dyn Scattering + 'a>],
+}
+
+impl Followed for FiberPaths<'_> {
+    fn options(&self) -> &FiberSceneOptions {
+        &self.scene.options
+    }
+
+    fn follow<V: Visitor>(
+        &self,
+        rules: &Rules<'_>,
+        ray: CameraRay,
+        random: &mut Random,
+        v: &mut V,
+    ) {
+        let stage = (self.scene).stage(self.sets, rules.lamps, rules.worth, rules.guide);
+        stage.follow(ray.through, ray.toward_camera, random, v);
+    }
+}
+
 impl Scene for FiberScene {
-    fn model(&self) -> &'static dyn Model {
+    fn model(&self) -> &'static dyn Parametric {
         self.model
     }
 
@@ -247,7 +295,15 @@ impl Scene for FiberScene {
         request.check()?;
         self.check_poses(request.configurations)?;
         match self.options.integrator {
-            Integrator::Fast => estimate::estimate(self, request, watch),
+            Integrator::Fast => {
+                let clock = Clock::now();
+                let sets = self.model.prepare_each(request.parameters)?;
+                let paths = FiberPaths {
+                    scene: self,
+                    sets: &sets,
+                };
+                estimate::estimate(&paths, Rows::of(self.model), &clock, request, watch)
+            }
             Integrator::Basic => basic::estimate(self, request, watch),
         }
     }
@@ -256,7 +312,7 @@ impl Scene for FiberScene {
         if self.options.integrator != Integrator::Fast {
             return Ok(None);
         }
-        let clock = (std::time::Instant::now(), estimate::cpu_seconds());
+        let clock = Clock::now();
         let options = RecordOptions {
             defensive: 0.0,
             ..RecordOptions::default()
@@ -264,8 +320,8 @@ impl Scene for FiberScene {
         let recording = self.record(request, &options, watch)?;
         Ok(Some(RecordedPaths {
             paths: Box::new(recording),
-            cpu_s: estimate::cpu_seconds() - clock.1,
-            wall_s: clock.0.elapsed().as_secs_f64(),
+            cpu_s: clock.cpu_s(),
+            wall_s: clock.wall_s(),
         }))
     }
 }

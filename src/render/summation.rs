@@ -1,7 +1,7 @@
 //! Sums of what paths contribute, with derivatives.
 
 use super::path::{Event, Visitor};
-use crate::scatter::{CHANNELS, MAX_DERIVATIVES, Model};
+use crate::scatter::{CHANNELS, MAX_DERIVATIVES, Parametric};
 
 /// Sums of one lamp: value and derivatives.
 #[derive(Debug, Clone, Copy, Default)]
@@ -34,7 +34,7 @@ pub(super) struct Rows {
 
 impl Rows {
     /// The rows of `model`, where each of its sets has a scattering function.
-    pub(super) fn of(model: &dyn Model) -> Self {
+    pub(super) fn of(model: &dyn Parametric) -> Self {
         let all = model.parameters().len();
         let own = all / model.systems().len().max(1);
         Self { all, own }

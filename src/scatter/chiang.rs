@@ -25,8 +25,8 @@
 use super::direction::{FiberAngles, ON_AXIS};
 use super::piecewise::Piecewise;
 use super::{
-    CHANNELS, Evaluation, Kept, MAX_ROWS, Model, Outgoing, ParameterInfo, Parameters, Passage,
-    Sampled, Scattering, Unit,
+    CHANNELS, Evaluation, Kept, MAX_ROWS, Model, Outgoing, ParameterInfo, Parameters, Parametric,
+    Passage, Sampled, Scattering, Unit,
 };
 use crate::base::{Error, Result};
 use crate::math::Random;
@@ -69,7 +69,7 @@ const fn roughness(name: &'static str) -> ParameterInfo {
     }
 }
 
-impl Model for Chiang {
+impl Parametric for Chiang {
     fn name(&self) -> &'static str {
         "chiang"
     }
@@ -77,7 +77,9 @@ impl Model for Chiang {
     fn parameters(&self) -> &'static [ParameterInfo] {
         PARAMETERS
     }
+}
 
+impl Model for Chiang {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>> {
         Ok(Box::new(ChiangScattering::new(parameters)?))
     }

@@ -25,7 +25,7 @@ use super::normalizer::NormalizerTable;
 use super::piecewise::Piecewise;
 use super::{
     BatchEvaluate, CHANNELS, Evaluation, Kept, MAX_ROWS, Model, Outgoing, ParameterInfo,
-    Parameters, Sampled, Scattering, Unit,
+    Parameters, Parametric, Sampled, Scattering, Unit,
 };
 use crate::base::{Error, Result};
 use crate::math::Random;
@@ -75,7 +75,7 @@ pub(super) const fn width(
     }
 }
 
-impl Model for Khungurn {
+impl Parametric for Khungurn {
     fn name(&self) -> &'static str {
         "khungurn"
     }
@@ -83,7 +83,9 @@ impl Model for Khungurn {
     fn parameters(&self) -> &'static [ParameterInfo] {
         PARAMETERS
     }
+}
 
+impl Model for Khungurn {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>> {
         Ok(Box::new(KhungurnScattering::new(parameters)?))
     }

@@ -8,6 +8,7 @@
 //! Volumes of fibers have a contract of their own, in [`media`].
 
 pub mod albedo;
+mod any;
 mod batch;
 pub mod chiang;
 mod defensive;
@@ -19,12 +20,14 @@ mod parameters;
 mod per_system;
 mod piecewise;
 
+pub use any::AnyModel;
 pub use batch::{BatchEvaluate, BatchValues, Footprint, MAX_COLUMNS, OneByOne};
 pub use chiang::{Chiang, ChiangScattering};
 pub use defensive::Defensive;
 pub use direction::{fiber_direction, longitudinal_angle};
 pub use khungurn::{Khungurn, KhungurnScattering};
 pub use parameters::{ParameterInfo, Parameters, Unit};
+use per_system::has_per_system;
 pub use per_system::{YARN_SYSTEMS, per_system};
 
 use crate::base::{Error, Result};
@@ -37,7 +40,7 @@ pub const CHANNELS: usize = 3;
 /// Upper limit on the rows of one [`Scattering`], so that hot loops can use arrays.
 pub const MAX_ROWS: usize = 8;
 
-/// Upper limit on [`Model::parameters`]'s length: [`MAX_ROWS`] for each yarn system.
+/// Upper limit on [`Parametric::parameters`]'s length: [`MAX_ROWS`] for each yarn system.
 pub const MAX_DERIVATIVES: usize = YARN_SYSTEMS.len() * MAX_ROWS;
 
 /// Value of a scattering function and its derivatives at one pair of directions.
@@ -45,7 +48,7 @@ pub const MAX_DERIVATIVES: usize = YARN_SYSTEMS.len() * MAX_ROWS;
 pub struct Evaluation {
     /// Scattering function per channel, 1/sr; no cosine inside.
     pub value: [f64; CHANNELS],
-    /// `derivative[row][channel]`: by the model's parameter `row` ([`Model::parameters`] order; angles per radian).
+    /// `derivative[row][channel]`: by the model's parameter `row` ([`Parametric::parameters`] order; angles per radian).
     /// For a per-channel parameter it is by that channel's own value. Rows past the model's length are zero.
     pub derivative: [[f64; CHANNELS]; MAX_ROWS],
 }
@@ -152,28 +155,33 @@ pub trait Scattering: Send + Sync {
     }
 }
 
-/// A scattering model: a named list of parameters, and what they make.
-pub trait Model: Send + Sync {
+/// A named list of parameters: what fits, files and renders know of a model, whether of fibers ([`Model`]) or of media
+/// ([`media::MediumModel`]).
+pub trait Parametric: Send + Sync {
     /// The name used on the command line and in files, e.g. `khungurn`.
     fn name(&self) -> &'static str;
 
-    /// The parameters in the order of [`Evaluation::derivative`]'s rows; at most [`MAX_ROWS`] for each of [`Model::systems`].
+    /// The parameters in the order of [`Evaluation::derivative`]'s rows; at most [`MAX_ROWS`] for each of
+    /// [`Parametric::systems`].
     fn parameters(&self) -> &'static [ParameterInfo];
 
-    /// The yarn systems that have parameters of their own, in the order of their numbers: [`Model::parameters`] lists the
-    /// same rows for each of them. Empty when one set of parameters serves all fibers.
+    /// The yarn systems that have parameters of their own, in the order of their numbers: [`Parametric::parameters`] lists
+    /// the same rows for each of them. Empty when one set of parameters serves all fibers.
     fn systems(&self) -> &'static [&'static str] {
         &[]
     }
+}
 
+/// A model of single fibers: a named list of parameters, and the scattering functions they make.
+pub trait Model: Parametric {
     /// The scattering function at `parameters`.
     ///
     /// # Errors
     /// When a value is missing, not finite, or where the model has no meaning (width zero, color below zero). Values
-    /// outside the published box but meaningful are accepted. When there is one for each of [`Model::systems`].
+    /// outside the published box but meaningful are accepted. When there is one for each of [`Parametric::systems`].
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Scattering>>;
 
-    /// The scattering functions at `parameters`: one for each of [`Model::systems`], or the one for all fibers.
+    /// The scattering functions at `parameters`: one for each of [`Parametric::systems`], or the one for all fibers.
     ///
     /// # Errors
     /// As [`Model::prepare`].

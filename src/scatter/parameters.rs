@@ -1,6 +1,6 @@
 //! Parameter values by name: the one form in which fits, renderers and files exchange them.
 
-use super::{CHANNELS, Model, YARN_SYSTEMS};
+use super::{CHANNELS, Parametric, YARN_SYSTEMS, has_per_system};
 use crate::base::{Context, Error, Result};
 use serde_json::{Map, Value, json};
 
@@ -74,12 +74,8 @@ pub struct Parameters {
 
 impl Parameters {
     /// The published defaults of `model`.
-    pub fn defaults(model: &dyn Model) -> Self {
-        Self::defaults_of(model.parameters())
-    }
-
-    /// The published defaults of the parameters `infos`.
-    pub(super) fn defaults_of(infos: &'static [ParameterInfo]) -> Self {
+    pub fn defaults(model: &dyn Parametric) -> Self {
+        let infos = model.parameters();
         let values = infos
             .iter()
             .flat_map(|p| std::iter::repeat_n(p.default, p.len()))
@@ -162,11 +158,12 @@ impl Parameters {
     ///
     /// # Errors
     /// A key is missing, unknown (a near name is suggested), of the wrong shape, or not finite.
-    pub fn from_json(model: &dyn Model, object: &Value) -> Result<Self> {
+    pub fn from_json(model: &dyn Parametric, object: &Value) -> Result<Self> {
         let (infos, systems) = (model.parameters(), model.systems());
         if !systems.iter().any(|s| object.get(s).is_some()) {
             let rows = &infos[..infos.len() / systems.len().max(1)];
-            let set = read_set(model.name(), true, rows, object)?;
+            let per_system = has_per_system(model.name());
+            let set = read_set(model.name(), per_system, rows, object)?;
             let values = set.repeat(systems.len().max(1));
             return Ok(Self { infos, values });
         }
@@ -189,16 +186,6 @@ impl Parameters {
             let set = read_set(model.name(), true, rows, own);
             values.extend(set.context(|| format!("yarn system {system}"))?);
         }
-        Ok(Self { infos, values })
-    }
-
-    /// The same for the parameters `infos` of a model that has no others per yarn system.
-    pub(super) fn read_one_set(
-        model: &str,
-        infos: &'static [ParameterInfo],
-        object: &Value,
-    ) -> Result<Self> {
-        let values = read_set(model, false, infos, object)?;
         Ok(Self { infos, values })
     }
 

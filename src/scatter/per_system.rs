@@ -3,7 +3,7 @@
 //! The rows are those of the model it is made of, once for each system, named `warp.c_r`, ..., `weft.beta_tt`: whoever knows
 //! parameters by name needs to know nothing more. Instead of one scattering function there is one for each system.
 
-use super::{Model, ParameterInfo, Parameters, Scattering, models};
+use super::{Model, ParameterInfo, Parameters, Parametric, Scattering, models};
 use crate::base::{Context, Error, Result};
 use std::sync::LazyLock;
 
@@ -38,6 +38,11 @@ pub fn per_system(model: &'static dyn Model) -> Result<&'static dyn Model> {
     })
 }
 
+/// Whether there is a model with parameters per yarn system made of the one with this name.
+pub(super) fn has_per_system(name: &str) -> bool {
+    models().iter().any(|m| m.name() == name)
+}
+
 /// The model per yarn system with this name.
 pub(super) fn named(name: &str) -> Option<&'static dyn Model> {
     let found = ALL.iter().find(|m| m.name == name)?;
@@ -61,7 +66,7 @@ impl PerSystem {
     }
 }
 
-impl Model for PerSystem {
+impl Parametric for PerSystem {
     fn name(&self) -> &'static str {
         self.name
     }
@@ -73,7 +78,9 @@ impl Model for PerSystem {
     fn systems(&self) -> &'static [&'static str] {
         &YARN_SYSTEMS
     }
+}
 
+impl Model for PerSystem {
     fn prepare(&self, _: &Parameters) -> Result<Box<dyn Scattering>> {
         Err(Error::new(format!(
             "model {} has a scattering function for each yarn system, not one",

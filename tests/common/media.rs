@@ -11,7 +11,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 /// Microflake parameters.
 pub(crate) fn microflake(albedo: [f64; 3], gamma: f64) -> Parameters {
     let [r, g, b] = albedo;
-    Microflake.defaults().with_values(vec![r, g, b, gamma])
+    Parameters::defaults(&Microflake).with_values(vec![r, g, b, gamma])
 }
 
 /// Volume BCSDF parameters: colors, then beta_r, beta_tt, gamma_tt in degrees, then the albedo.
@@ -23,7 +23,7 @@ pub(crate) fn volume(
 ) -> Parameters {
     let widths = widths_deg.map(f64::to_radians);
     let values = [c_r, c_tt, widths, albedo].concat();
-    KhungurnVolume.defaults().with_values(values)
+    Parameters::defaults(&KhungurnVolume).with_values(values)
 }
 
 /// Media at and beyond the ends of their published ranges.

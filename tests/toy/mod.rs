@@ -6,7 +6,7 @@ use goniofit::base::{Error, Result, Watch};
 use goniofit::fit::{Budget, Options};
 use goniofit::math::{PolarDirection, Random, statistics::Running};
 use goniofit::render::{Effort, Estimate, Estimates, Request, Scene};
-use goniofit::scatter::{Model, ParameterInfo, Parameters, Scattering, Unit};
+use goniofit::scatter::{Model, ParameterInfo, Parameters, Parametric, Scattering, Unit};
 use goniofit::session::{Configuration, Intensity, Measurements};
 
 const DEG: f64 = std::f64::consts::PI / 180.0;
@@ -48,13 +48,17 @@ static INFOS: [ParameterInfo; 5] = [
     width("gamma_tt", 1.0, 45.0, 10.0),
 ];
 
-impl Model for ToyModel {
+impl Parametric for ToyModel {
     fn name(&self) -> &'static str {
         "toy"
     }
+
     fn parameters(&self) -> &'static [ParameterInfo] {
         &INFOS
     }
+}
+
+impl Model for ToyModel {
     fn prepare(&self, _: &Parameters) -> Result<Box<dyn Scattering>> {
         Err(Error::new("the toy scatters nothing"))
     }
@@ -271,7 +275,7 @@ fn gamma(n: f64, random: &mut Random) -> f64 {
 }
 
 impl Scene for Toy {
-    fn model(&self) -> &'static dyn Model {
+    fn model(&self) -> &'static dyn Parametric {
         &TOY
     }
 

@@ -2,7 +2,7 @@
 
 use crate::cli::fit::{self, Asked};
 use crate::cli::render::plate_in_words;
-use crate::fabric::fiber_file;
+use crate::fabric::{fiber_file, voxel_file};
 use crate::fit::TAU;
 use crate::render::Plate;
 use crate::session::files;
@@ -43,7 +43,7 @@ impl Inputs {
     /// The inputs of a fit as they are now.
     pub(crate) fn of(asked: &Asked, hashes: &mut Hashes) -> Self {
         let budget = asked.budget();
-        let fibers = fiber_file(&asked.fabric);
+        let fibers = fiber_file(&asked.fabric).or_else(|| voxel_file(&asked.fabric));
         let mut options = serde_json::json!({
             "method": asked.method,
             "time_s": budget.time_s,

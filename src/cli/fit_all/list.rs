@@ -7,7 +7,7 @@ use crate::base::{Context, Error, Result};
 use crate::cli::fit::{self, Asked};
 use crate::cli::{inputs, render};
 use crate::fit::{Bounds, Loss, Method, TAU};
-use crate::scatter::{self, Parameters};
+use crate::scatter::{AnyModel, Parameters};
 use crate::session::files;
 use serde::Deserialize;
 use std::collections::HashSet;
@@ -257,7 +257,7 @@ impl Exclude {
 impl Combination<'_> {
     /// The task, with everything checked that needs no file.
     fn task(&self, number: usize, folder: &Path) -> Result<Task> {
-        let model = scatter::model(self.model)?;
+        let model = AnyModel::named(self.model)?.parametric();
         let o = self.options;
         Bounds::parse(&o.bound)?.over(&Parameters::defaults(model))?;
         let method = o.method.as_deref().unwrap_or(fit::METHOD);

@@ -1,5 +1,6 @@
 //! `goniofit render image`: pictures of the cloth and of its derivatives.
 
+use super::fiber_scene;
 use super::image_files::{Derivative, Exposure, Output, Pictures};
 use super::subject::{Subject, find, length, numbers};
 use crate::base::{Error, Result};
@@ -101,7 +102,9 @@ impl Size {
 
 pub(super) fn run(a: &ImageArguments) -> Result<Outcome> {
     let begun = Instant::now();
-    let ready = a.subject.read(Integrator::Fast)?;
+    let ready = a.subject.read(Integrator::Fast, |fabric, model, options| {
+        fiber_scene(fabric, model.of_fibers()?, options)
+    })?;
     let configurations = chosen(a, &ready.configurations)?;
     let (rows, derivatives) = wanted_derivatives(&a.derivative, &ready.parameters)?;
     let region = region(a, &ready.scene);

@@ -1,13 +1,13 @@
 //! What the render commands have in common: the fabric, its parameters, the poses, and what surrounds the cloth.
 
-use super::{fiber_scene, surroundings};
+use super::surroundings;
 use crate::base::{Error, Result};
 use crate::cli::inputs;
-use crate::render::{FiberScene, FiberSceneOptions, Integrator, Plate, View};
+use crate::render::{FiberSceneOptions, Integrator, Plate, View};
 use crate::rig::RigDescription;
-use crate::scatter::{self, Parameters};
+use crate::scatter::{AnyModel, Parameters};
 use crate::session::{Configuration, Plan};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What is rendered.
 #[derive(clap::Args)]
@@ -75,26 +75,30 @@ struct Pose {
 }
 
 /// A [`Subject`] that was read.
-pub(super) struct Ready {
-    pub(super) scene: FiberScene,
+pub(super) struct Ready<S> {
+    pub(super) scene: S,
     pub(super) parameters: Parameters,
     pub(super) configurations: Vec<Configuration>,
 }
 
 impl Subject {
     /// Reads all files and builds the scene.
-    pub(super) fn read(&self, integrator: Integrator) -> Result<Ready> {
-        let model = scatter::model(&self.model)?;
+    pub(super) fn read<S>(
+        &self,
+        integrator: Integrator,
+        build: impl FnOnce(&Path, AnyModel, FiberSceneOptions) -> Result<S>,
+    ) -> Result<Ready<S>> {
+        let model = AnyModel::named(&self.model)?;
         let configurations = self.poses.configurations()?;
         let (parameters, model) = match &self.params {
             Some(path) => inputs::parameters_and_model(path, model)?,
-            None => (Parameters::defaults(model), model),
+            None => (Parameters::defaults(model.parametric()), model),
         };
         let options = FiberSceneOptions {
             integrator,
             ..self.surroundings.options()?
         };
-        let scene = fiber_scene(&self.fabric, model, options)?;
+        let scene = build(&self.fabric, model, options)?;
         Ok(Ready {
             scene,
             parameters,

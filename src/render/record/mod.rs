@@ -17,7 +17,7 @@ pub use trust::{ConfigurationTrust, TRUST_THRESHOLD, Trust};
 
 use super::allocation::{Group, groups};
 use super::estimate::{self, cpu_seconds};
-use super::scene::{FiberScene, Integrator};
+use super::scene::{FiberPaths, FiberScene, Integrator};
 use super::{Estimates, Recall, Request};
 use crate::base::{Error, Result, Watch};
 use crate::scatter::{BatchEvaluate, CHANNELS, Defensive, Model, OneByOne, Parameters, Scattering};
@@ -123,8 +123,12 @@ impl FiberScene {
         } else {
             &at
         };
-        let groups = groups(self, request.configurations);
-        let round = estimate::plan(self, sampled, &groups, request, watch)?;
+        let groups = groups(&self.options, request.configurations);
+        let paths = FiberPaths {
+            scene: self,
+            sets: sampled,
+        };
+        let round = estimate::plan(&paths, &groups, request, watch)?;
         let used = AtomicU64::new(0);
         let recorded = round.run(watch, |batch| {
             let mut recorder = Recorder::new(&*kernels[0], groups[batch.group].lamps.len());

@@ -4,7 +4,7 @@ use super::{RecordOptions, Recording, Trust};
 use crate::base::{Error, Result, Watch};
 use crate::render::estimate::interrupted;
 use crate::render::{Estimates, FiberScene, Request, Scene};
-use crate::scatter::{Model, Parameters};
+use crate::scatter::{Parameters, Parametric};
 
 /// Two recordings that share no random number, as a scene: even streams are answered from the first, odd ones from the
 /// second, so that a pair of renders (`fit::RenderPair`) made from it is independent. What a request says of effort and
@@ -58,7 +58,7 @@ impl RecordingPair {
 }
 
 impl Scene for RecordingPair {
-    fn model(&self) -> &'static dyn Model {
+    fn model(&self) -> &'static dyn Parametric {
         self.recordings[0].model
     }
 

@@ -6,7 +6,7 @@
 use super::{CHANNELS, MAX_ROWS, Medium, MediumModel, Outgoing, Scattered, check, models as plain};
 use crate::base::Result;
 use crate::math::Random;
-use crate::scatter::{Evaluation, ParameterInfo, Parameters, Unit};
+use crate::scatter::{Evaluation, ParameterInfo, Parameters, Parametric, Unit};
 use glam::DVec3;
 use std::sync::LazyLock;
 
@@ -50,7 +50,7 @@ impl WithDensity {
     }
 }
 
-impl MediumModel for WithDensity {
+impl Parametric for WithDensity {
     fn name(&self) -> &'static str {
         self.name
     }
@@ -58,11 +58,13 @@ impl MediumModel for WithDensity {
     fn parameters(&self) -> &'static [ParameterInfo] {
         self.infos
     }
+}
 
+impl MediumModel for WithDensity {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Medium>> {
         let scale = parameters.scalar(DENSITY.name);
         check(self.name, &DENSITY, scale, 1e-6, 1e6)?;
-        let defaults = self.of.defaults();
+        let defaults = Parameters::defaults(self.of);
         let own = parameters.values()[..defaults.values().len()].to_vec();
         Ok(Box::new(Scaled {
             of: self.of.prepare(&defaults.with_values(own))?,

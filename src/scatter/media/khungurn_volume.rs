@@ -22,7 +22,7 @@ use crate::scatter::direction::FiberAngles;
 use crate::scatter::khungurn::{LEAST_COLOR, Lobes, check, color, width};
 use crate::scatter::{
     CHANNELS, Evaluation, Khungurn, KhungurnScattering, MAX_ROWS, ParameterInfo, Parameters,
-    Scattering,
+    Parametric, Scattering,
 };
 use glam::DVec3;
 use std::f64::consts::TAU;
@@ -47,7 +47,7 @@ const ALBEDO: usize = 5;
 /// Least share of reflected and transmitted light together: from black fibers there is no phase function.
 const LEAST_LIGHT: f64 = 1e-6;
 
-impl MediumModel for KhungurnVolume {
+impl Parametric for KhungurnVolume {
     fn name(&self) -> &'static str {
         "khungurn-volume"
     }
@@ -55,7 +55,9 @@ impl MediumModel for KhungurnVolume {
     fn parameters(&self) -> &'static [ParameterInfo] {
         PARAMETERS
     }
+}
 
+impl MediumModel for KhungurnVolume {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Medium>> {
         for info in PARAMETERS {
             for value in parameters.channels(info.name) {

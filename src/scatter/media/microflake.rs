@@ -15,7 +15,7 @@ use crate::base::Result;
 use crate::math::Random;
 use crate::scatter::direction::FiberAngles;
 use crate::scatter::khungurn::{LEAST_COLOR, color};
-use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS, ParameterInfo, Parameters, Unit};
+use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS, ParameterInfo, Parameters, Parametric, Unit};
 use glam::DVec3;
 
 /// The model `microflake`: rows `albedo, gamma`.
@@ -35,7 +35,7 @@ const PARAMETERS: &[ParameterInfo] = &[
     },
 ];
 
-impl MediumModel for Microflake {
+impl Parametric for Microflake {
     fn name(&self) -> &'static str {
         "microflake"
     }
@@ -43,7 +43,9 @@ impl MediumModel for Microflake {
     fn parameters(&self) -> &'static [ParameterInfo] {
         PARAMETERS
     }
+}
 
+impl MediumModel for Microflake {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Medium>> {
         let (albedo, gamma) = (parameters.channels("albedo"), parameters.scalar("gamma"));
         for value in albedo {

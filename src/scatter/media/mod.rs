@@ -23,18 +23,17 @@ pub use flakes::FlakeDistribution;
 pub use khungurn_volume::KhungurnVolume;
 pub use microflake::Microflake;
 
-use super::{CHANNELS, Evaluation, MAX_ROWS, ParameterInfo, Parameters};
+use super::{CHANNELS, Evaluation, MAX_ROWS, ParameterInfo, Parameters, Parametric};
 use crate::base::{Error, Result};
 use crate::math::Random;
 use glam::DVec3;
-use serde_json::Value;
 
 /// A medium at fixed parameters.
 pub trait Medium: Send + Sync {
     /// Extinction along `w` over the density of the voxel; even in `w`, zero along the fiber in some media.
     fn extinction(&self, w: DVec3) -> f64;
 
-    /// Derivatives of [`Medium::extinction`] by the rows of [`MediumModel::parameters`] (angles per radian).
+    /// Derivatives of [`Medium::extinction`] by the rows of [`Parametric::parameters`] (angles per radian).
     fn extinction_slopes(&self, w: DVec3) -> [f64; MAX_ROWS];
 
     /// The largest [`Medium::extinction`] of any direction: the majorant of a voxel is its density times this.
@@ -44,7 +43,7 @@ pub trait Medium: Send + Sync {
     fn albedo(&self) -> [f64; CHANNELS];
 
     /// Albedo times phase function, `alpha p(wi | wo)`, 1/sr, and its derivatives by the rows of
-    /// [`MediumModel::parameters`]. Need not be symmetric in its directions.
+    /// [`Parametric::parameters`]. Need not be symmetric in its directions.
     fn evaluate(&self, wi: DVec3, wo: DVec3) -> Evaluation;
 
     /// Computes ahead what all looks from one event need of its camera side. `carried` is how much each channel of the path
@@ -56,7 +55,7 @@ pub trait Medium: Send + Sync {
     fn importance(&self, wi: DVec3, o: &Outgoing) -> ([f64; CHANNELS], f64);
 
     /// Draws `wi` given the camera side. Its density is the mean of the channels' phase functions, weighted by what they
-    /// carry: within the bounds of [`MediumModel::parameters`] weights vary only because channels differ, and what the channels carry
+    /// carry: within the bounds of [`Parametric::parameters`] weights vary only because channels differ, and what the channels carry
     /// in sum varies hardly at all.
     fn sample(&self, o: &Outgoing, random: &mut Random) -> Scattered;
 }
@@ -89,33 +88,14 @@ pub struct Scattered {
     pub pdf: f64,
 }
 
-/// A model of media: a named list of parameters, and what they make.
-pub trait MediumModel: Send + Sync {
-    /// The name used on the command line and in files, e.g. `microflake`.
-    fn name(&self) -> &'static str;
-
-    /// The parameters in the order of derivatives' rows; at most [`MAX_ROWS`].
-    fn parameters(&self) -> &'static [ParameterInfo];
-
+/// A model of media: a named list of at most [`MAX_ROWS`] parameters, and the media they make.
+pub trait MediumModel: Parametric {
     /// The medium at `parameters`.
     ///
     /// # Errors
     /// When a value is not finite, or where the model has no meaning. Values outside the published box but meaningful
     /// are accepted.
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Medium>>;
-
-    /// The published defaults.
-    fn defaults(&self) -> Parameters {
-        Parameters::defaults_of(self.parameters())
-    }
-
-    /// Reads a parameter file's object, as [`Parameters::from_json`] does for models of fibers.
-    ///
-    /// # Errors
-    /// A key is missing, unknown, of the wrong shape, or not finite.
-    fn read(&self, object: &Value) -> Result<Parameters> {
-        Parameters::read_one_set(self.name(), self.parameters(), object)
-    }
 }
 
 /// All models of media, in the order `--help` lists them.
