@@ -8,6 +8,7 @@ mod align;
 mod axes;
 mod coarse;
 mod equalize;
+mod fibers;
 mod gaussian;
 mod gray;
 pub(in crate::fabric) mod header;
@@ -28,6 +29,7 @@ mod store;
 mod tiff_stack;
 
 pub use axes::Axes;
+pub use fibers::{FiberScore, FoundRadius, TraceReport, Tracing, compare, trace, transfer};
 pub use gray::Gray;
 pub use open::Reading;
 pub use orient::{DensityChoice, Filter, Method, OrientReport, Orienting, orient};
