@@ -6,6 +6,7 @@
 //! [`load`] reads a fabric description (a woven swatch, or a pointer to a file of fibers) and gives a [`Fabric`]: the
 //! periodic [`FiberTile`] a renderer needs, and a [`FabricReport`] of what it is made of. [`ct`] reads and prepares micro-CT volumes.
 
+mod aside;
 mod centerline;
 mod csv_format;
 pub mod ct;

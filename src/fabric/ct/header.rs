@@ -13,7 +13,7 @@ const LARGEST: usize = 1 << 20;
 
 /// How voxels are packed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Packing {
+pub(in crate::fabric) enum Packing {
     None,
     Gzip,
     Zlib,
@@ -46,14 +46,14 @@ pub(super) struct Header {
 
 /// What a file states of its voxels' size and place.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Geometry {
+pub(in crate::fabric) struct Geometry {
     /// Voxel size along each file axis, in `unit`.
-    pub(super) spacing: Option<[f64; 3]>,
-    pub(super) unit: Option<Unit>,
+    pub(in crate::fabric) spacing: Option<[f64; 3]>,
+    pub(in crate::fabric) unit: Option<Unit>,
     /// Scene axes of the file axes, where it states directions.
-    pub(super) axes: Option<Axes>,
+    pub(in crate::fabric) axes: Option<Axes>,
     /// Center of the first voxel, in `unit`, in the file's own space.
-    pub(super) origin: Option<[f64; 3]>,
+    pub(in crate::fabric) origin: Option<[f64; 3]>,
     /// A person counts the file's axes from the slowest on.
     pub(super) slowest_first: bool,
     /// What a person should know.

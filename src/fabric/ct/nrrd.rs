@@ -8,28 +8,11 @@ use super::{Endian, SampleType};
 use crate::base::{Error, Result};
 use std::path::Path;
 
-pub(super) const MAGIC: &[u8] = b"NRRD000";
+pub(in crate::fabric) const MAGIC: &[u8] = b"NRRD000";
 
 /// Reads a header.
 pub(super) fn header(path: &Path) -> Result<Header> {
-    let mut lines = Lines::open(path)?;
-    let mut fields = Fields::default();
-    lines.next()?;
-    let mut ended = false;
-    while let Some(line) = lines.next()? {
-        if line.is_empty() {
-            ended = true;
-            break;
-        }
-        // `key:=value` is a user's note, `# ...` a comment.
-        if !line.starts_with('#')
-            && let Some((key, value)) = line.split_once(": ")
-        {
-            fields
-                .0
-                .push((key.trim().to_lowercase(), value.trim().to_owned()));
-        }
-    }
+    let (fields, ended, after) = Fields::read(path)?;
     let detached = fields.get(&["data file", "datafile"]);
     if !ended && detached.is_none() {
         return Err(Error::new("the header does not end with an empty line")
@@ -37,13 +20,14 @@ pub(super) fn header(path: &Path) -> Result<Header> {
     }
     let (data_path, offset) = match detached {
         Some(name) => (beside(path, name)?, 0),
-        None => (path.to_owned(), lines.at),
+        None => (path.to_owned(), after),
     };
     let dimension = fields.needed(&["dimension"])?;
     if dimension != "3" {
         return Err(
-            Error::new(format!("a volume of dimension {dimension}: expected 3"))
-                .with_hint("one number per voxel, and one point in time"),
+            Error::new(format!("a volume of dimension {dimension}: expected 3")).with_hint(
+                "one number per voxel, and one point in time; tiles of density and direction are read by goniofit ct view and fibers",
+            ),
         );
     }
     let packing = packing(fields.needed(&["encoding"])?)?;
@@ -80,16 +64,38 @@ pub(super) fn written(dims: [usize; 3], voxel: f64, origin: [f64; 3]) -> String 
     )
 }
 
+/// The fields of a header.
 #[derive(Default)]
-struct Fields(Vec<(String, String)>);
+pub(in crate::fabric) struct Fields(Vec<(String, String)>);
 
 impl Fields {
-    fn get(&self, names: &[&str]) -> Option<&str> {
+    /// Reads the fields of a file, whether the empty line that ends them is there, and the byte after it.
+    pub(in crate::fabric) fn read(path: &Path) -> Result<(Self, bool, u64)> {
+        let mut lines = Lines::open(path)?;
+        let mut fields = Self::default();
+        lines.next()?;
+        while let Some(line) = lines.next()? {
+            if line.is_empty() {
+                return Ok((fields, true, lines.at));
+            }
+            // `key:=value` is a user's note, `# ...` a comment.
+            if !line.starts_with('#')
+                && let Some((key, value)) = line.split_once(": ")
+            {
+                fields
+                    .0
+                    .push((key.trim().to_lowercase(), value.trim().to_owned()));
+            }
+        }
+        Ok((fields, false, lines.at))
+    }
+
+    pub(in crate::fabric) fn get(&self, names: &[&str]) -> Option<&str> {
         let found = self.0.iter().find(|f| names.contains(&f.0.as_str()));
         found.map(|f| f.1.as_str())
     }
 
-    fn needed(&self, names: &[&str]) -> Result<&str> {
+    pub(in crate::fabric) fn needed(&self, names: &[&str]) -> Result<&str> {
         self.get(names)
             .ok_or_else(|| Error::new(format!("the header lacks the field '{}'", names[0])))
     }
@@ -123,7 +129,7 @@ fn line_bytes(path: &Path, offset: u64, count: i64) -> Result<u64> {
     Ok(lines.at - offset)
 }
 
-fn packing(encoding: &str) -> Result<Packing> {
+pub(in crate::fabric) fn packing(encoding: &str) -> Result<Packing> {
     match encoding.to_lowercase().as_str() {
         "raw" => Ok(Packing::None),
         "gzip" | "gz" => Ok(Packing::Gzip),
@@ -134,7 +140,7 @@ fn packing(encoding: &str) -> Result<Packing> {
     }
 }
 
-fn endian(text: &str) -> Result<Endian> {
+pub(in crate::fabric) fn endian(text: &str) -> Result<Endian> {
     match text.to_lowercase().as_str() {
         "little" => Ok(Endian::Little),
         "big" => Ok(Endian::Big),
@@ -174,13 +180,14 @@ fn sample(text: &str) -> Result<SampleType> {
     }
 }
 
-fn geometry(fields: &Fields) -> Result<Geometry> {
+pub(in crate::fabric) fn geometry(fields: &Fields) -> Result<Geometry> {
     let mut geometry = Geometry::default();
     if let Some(text) = fields.get(&["space origin"]) {
         geometry.origin = Some(numbers("space origin", text)?);
     }
     if let Some(text) = fields.get(&["space directions"]) {
-        let n = numbers::<9>("space directions", text)?;
+        // Of several numbers per voxel, the axis of these has no direction.
+        let n = numbers::<9>("space directions", text.trim_start_matches("none"))?;
         geometry.set_directions([0, 3, 6].map(|k| [n[k], n[k + 1], n[k + 2]]));
     } else if let Some(text) = fields.get(&["spacings"]) {
         geometry.spacing = Some(numbers("spacings", text)?);

@@ -10,9 +10,9 @@ use super::quadratic::Quadratic;
 use super::resample::{Grid, Resampling};
 use super::{SampleType, Volume, nrrd, statistics};
 use crate::base::{Context, Error, Result, Watch};
+use crate::fabric::aside::write_aside;
 use glam::DVec3;
 use serde::Serialize;
-use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// What to do with a scan.
@@ -331,44 +331,29 @@ fn write(
     let Grid { dims, voxel, low } = resampling.grid;
     let first = 0.5 * voxel;
     let header = nrrd::written(dims, voxel, [first, first, low.z + first]);
-    let aside =
-        tempfile::NamedTempFile::new_in(out.parent().unwrap_or(Path::new("."))).context(what)?;
-    let mut file = BufWriter::with_capacity(1 << 20, aside);
-    file.write_all(header.as_bytes()).context(what)?;
-    let mut written = Written {
-        outside: 0,
-        solid: Vec::with_capacity(dims[2]),
-    };
-    resampling.sweep(watch, |values, outside| {
-        written.outside += outside;
-        for layer in values.chunks_exact(dims[0] * dims[1]) {
-            let solid = layer.iter().filter(|v| f64::from(**v) >= threshold);
-            written.solid.push(solid.count() as u64);
-            for value in layer {
-                file.write_all(&value.to_le_bytes()).context(what)?;
+    write_aside(out, |file| {
+        file.write_all(header.as_bytes()).context(what)?;
+        let mut written = Written {
+            outside: 0,
+            solid: Vec::with_capacity(dims[2]),
+        };
+        resampling.sweep(watch, |values, outside| {
+            written.outside += outside;
+            for layer in values.chunks_exact(dims[0] * dims[1]) {
+                let solid = layer.iter().filter(|v| f64::from(**v) >= threshold);
+                written.solid.push(solid.count() as u64);
+                for value in layer {
+                    file.write_all(&value.to_le_bytes()).context(what)?;
+                }
             }
+            Ok(())
+        })?;
+        if written.solid.iter().all(|n| *n == 0) {
+            return Err(Error::new("no fiber in what is left of the volume")
+                .with_hint("is the crop where the cloth is?"));
         }
-        Ok(())
-    })?;
-    if written.solid.iter().all(|n| *n == 0) {
-        return Err(Error::new("no fiber in what is left of the volume")
-            .with_hint("is the crop where the cloth is?"));
-    }
-    let whole = file
-        .into_inner()
-        .map_err(std::io::IntoInnerError::into_error)
-        .context(what)?;
-    readable_by_all(&whole).context(what)?;
-    whole.as_file().sync_all().context(what)?;
-    whole.persist(out).context(what)?;
-    Ok(written)
-}
-
-/// Files made aside are private until they are whole; results are not.
-fn readable_by_all(file: &tempfile::NamedTempFile) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    file.as_file()
-        .set_permissions(std::fs::Permissions::from_mode(0o644))
+        Ok(written)
+    })
 }
 
 /// Layers between those below which 1 % and 99 % of the voxels lie.

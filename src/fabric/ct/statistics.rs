@@ -52,7 +52,7 @@ pub fn statistics(volume: &Volume, memory: usize, watch: &dyn Watch) -> Result<S
             ),
         );
     }
-    let mut histogram = Histogram::new(volume, min.into(), max.into());
+    let mut histogram = Histogram::new(!volume.sample().is_float(), min.into(), max.into());
     volume.sweep(memory, "counting values", watch, |block| {
         block.values.iter().for_each(|v| histogram.add((*v).into()));
         Ok(())
@@ -77,6 +77,18 @@ impl Statistics {
     }
 }
 
+/// Otsu's threshold of values that are not all the same.
+pub(super) fn otsu(values: &[f32]) -> f64 {
+    let ends = values
+        .iter()
+        .fold([f32::INFINITY, f32::NEG_INFINITY], |e, v| {
+            [e[0].min(*v), e[1].max(*v)]
+        });
+    let mut histogram = Histogram::new(false, ends[0].into(), ends[1].into());
+    values.iter().for_each(|v| histogram.add((*v).into()));
+    histogram.otsu()
+}
+
 struct Histogram {
     low: f64,
     width: f64,
@@ -86,9 +98,9 @@ struct Histogram {
 }
 
 impl Histogram {
-    fn new(volume: &Volume, low: f64, high: f64) -> Self {
+    fn new(whole: bool, low: f64, high: f64) -> Self {
         let span = high - low;
-        let exact = !volume.sample().is_float() && span < BINS as f64;
+        let exact = whole && span < BINS as f64;
         let (bins, width) = if exact {
             (span as usize + 1, 1.0)
         } else {

@@ -1,5 +1,7 @@
 //! A periodic tile of voxels: density and fiber direction of each, as found in a scan or made from fibers.
 
+mod nrrd;
+
 use crate::base::{Error, Result};
 use glam::DVec3;
 
@@ -28,11 +30,7 @@ impl VoxelTile {
                 "voxels of {side} mm from z = {bottom} mm: expected a positive side and a finite height"
             )));
         }
-        let count = shape
-            .iter()
-            .try_fold(1_usize, |n, s| n.checked_mul(*s))
-            .filter(|n| (1..1 << 40).contains(n))
-            .ok_or_else(|| Error::new(format!("a volume of {shape:?} voxels has no meaning")))?;
+        let count = Self::check_shape(shape)?;
         Ok(Self {
             shape,
             side,
@@ -40,6 +38,45 @@ impl VoxelTile {
             density: vec![0.0; count],
             direction: vec![PackedDirection::default(); count],
         })
+    }
+
+    /// The number of voxels.
+    fn check_shape(shape: [usize; 3]) -> Result<usize> {
+        let count = shape.iter().try_fold(1_usize, |n, s| n.checked_mul(*s));
+        count
+            .filter(|n| (1..1 << 40).contains(n))
+            .ok_or_else(|| Error::new(format!("a volume of {shape:?} voxels has no meaning")))
+    }
+
+    /// A tile of these voxels, in the order of the lists.
+    ///
+    /// # Errors
+    /// As [`VoxelTile::empty`]; when there are not as many voxels as the shape says, or a density is negative or not
+    /// finite.
+    pub fn from_parts(
+        shape: [usize; 3],
+        side: f64,
+        bottom: f64,
+        density: Vec<f32>,
+        direction: Vec<PackedDirection>,
+    ) -> Result<Self> {
+        let mut tile = Self::empty([1; 3], side, bottom)?;
+        let count = Self::check_shape(shape)?;
+        if count != density.len() || count != direction.len() {
+            return Err(Error::new(format!(
+                "{} densities and {} directions for {shape:?} voxels",
+                density.len(),
+                direction.len()
+            )));
+        }
+        if let Some(place) = density.iter().position(|d| !(d.is_finite() && *d >= 0.0)) {
+            return Err(Error::new(format!(
+                "voxel {place}: density {}: expected at least 0",
+                density[place]
+            )));
+        }
+        (tile.shape, tile.density, tile.direction) = (shape, density, direction);
+        Ok(tile)
     }
 
     /// Voxels along x, y and z.

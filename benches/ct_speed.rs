@@ -1,0 +1,151 @@
+//! Directions and fibers found in virtual scans: how far off, and how long it takes.
+//!
+//! `cargo bench --bench ct_speed [-- directions|fibers] [VOXEL_UM]` on `fabrics/bench_twill22.toml` (packed) and on the same cloth with
+//! every 16th fiber alone (sparse); voxels of 5, 2.667 and 1.6 um are 1.6, 3 and 5 to the fiber radius. Seconds are
+//! processor seconds of the whole process per million voxels that are not air.
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
+
+use goniofit::base::Unwatched;
+use goniofit::fabric::ct::{
+    Method, Orienting, Simulated, Simulating, Tracing, compare, orient, simulate, trace,
+};
+use goniofit::fabric::{self, FiberTile, VoxelTile};
+use std::path::Path;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let asked = |word: &str| arguments.iter().any(|a| a == word);
+    let voxel = arguments.iter().find_map(|a| a.parse::<f64>().ok());
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let packed = fabric::load(&root.join("fabrics/bench_twill22.toml"))
+        .unwrap()
+        .tile;
+    let voxels = voxel.map_or(vec![5.0, 8.0 / 3.0, 1.6], |v| vec![v]);
+    if !asked("fibers") {
+        println!(
+            "cloth    voxel um  blur  noise  method         million  CPU s/million  median deg  90 % deg  kept %"
+        );
+        for (name, tile) in [("packed", &packed), ("sparse", &sparse(&packed))] {
+            let small = corner(tile, if asked("directions") { 1.0 } else { 0.5 });
+            for (blur, noise) in [(0.0, 0.0), (0.7, 0.1)] {
+                directions(name, &small, voxels[0], blur, noise, asked("slow"));
+            }
+        }
+    }
+    if !asked("directions") {
+        println!(
+            "cloth    voxel um  blur  noise  recall  steep  precision  median deg  90 % deg  position um  switches/mm  pieces  length um  radius um  s"
+        );
+        for (name, tile) in [("packed", &packed), ("sparse", &sparse(&packed))] {
+            for voxel in &voxels {
+                for (blur, noise) in [(0.0, 0.0), (0.7, 0.1)] {
+                    fibers(name, &corner(tile, 1.0), *voxel, blur, noise);
+                }
+            }
+        }
+    }
+}
+
+/// Every 16th fiber.
+fn sparse(tile: &FiberTile) -> FiberTile {
+    let curves = fabric::curves(tile);
+    let kept: Vec<_> = curves.into_iter().step_by(16).collect();
+    fabric::from_curves(tile.size, &kept)
+}
+
+/// The weave repeats every millimeter: a tile of one repeat has the fibers that begin in it.
+fn corner(tile: &FiberTile, _size: f64) -> FiberTile {
+    tile.clone()
+}
+
+fn scan(tile: &FiberTile, voxel_um: f64, blur: f64, noise: f64) -> Simulated {
+    let options = Simulating {
+        voxel: 1e-3 * voxel_um,
+        margin: 0.04,
+        blur: 1e-3 * blur * voxel_um,
+        noise,
+        seed: 1,
+    };
+    simulate(tile, &options, &Unwatched).unwrap()
+}
+
+fn directions(name: &str, tile: &FiberTile, voxel_um: f64, blur: f64, noise: f64, slow: bool) {
+    let made = scan(tile, voxel_um, blur, noise);
+    for (label, method, exact) in [
+        ("tensor", Method::Tensor, false),
+        ("line", Method::Line, false),
+        ("filter, fast", Method::Filter, false),
+        ("filter, exact", Method::Filter, true),
+    ] {
+        if exact && !slow || label == "filter, fast" && !slow {
+            continue;
+        }
+        let options = Orienting {
+            exact,
+            fiber_radius: Some(0.008),
+            ..Orienting::new(method)
+        };
+        let begun = processor_seconds();
+        let (found, report) = orient(made.gray.clone(), &options, &Unwatched).unwrap();
+        let seconds = processor_seconds() - begun;
+        let [median, most] = angles(&made.truth, &found);
+        let million = report.solid as f64 / 1e6;
+        println!(
+            "{name:8} {voxel_um:8.2} {blur:5.1} {noise:6.2}  {label:14} {million:6.2} {:14.1} {median:11.1} {most:9.1} {:7.1}",
+            seconds / million,
+            100.0 * report.kept as f64 / report.solid as f64
+        );
+    }
+}
+
+/// Median and 90 % of the angles between directions found and true, where there is fiber.
+fn angles(truth: &VoxelTile, found: &VoxelTile) -> [f64; 2] {
+    let places = 0..truth.density().len();
+    let both = places.filter(|p| truth.density()[*p] > 0.0 && found.density()[*p] > 0.0);
+    let cos = |p: usize| truth.direction(p).dot(found.direction(p)).abs().min(1.0);
+    let mut list: Vec<f64> = both.map(|p| cos(p).acos().to_degrees()).collect();
+    list.sort_by(f64::total_cmp);
+    [0.5, 0.9].map(|share| list[(share * list.len() as f64) as usize])
+}
+
+fn fibers(name: &str, tile: &FiberTile, voxel_um: f64, blur: f64, noise: f64) {
+    let made = scan(tile, voxel_um, blur, noise);
+    let options = Orienting {
+        fiber_radius: Some(0.008),
+        ..Orienting::new(Method::Tensor)
+    };
+    let (oriented, _) = orient(made.gray, &options, &Unwatched).unwrap();
+    let options = Tracing {
+        radius: Some(0.008),
+        gate: option("GATE", 0.9),
+        least_response: option("LEAST", 0.12),
+        join: option("JOIN", 1.0) > 0.0,
+        ..Tracing::default()
+    };
+    let begun = processor_seconds();
+    let (found, report) = trace(&oriented, &options, &Unwatched).unwrap();
+    let seconds = processor_seconds() - begun;
+    let s = compare(tile, &found);
+    println!(
+        "{name:8} {voxel_um:8.2} {blur:5.1} {noise:6.2} {:7.3} {:6.3} {:10.3} {:11.1} {:9.1} {:12.2} {:12.2} {:7.1} {:10.0} {:10.2} {seconds:5.0}",
+        s.recall,
+        s.recall_steep,
+        s.precision,
+        s.direction_median,
+        s.direction_90,
+        1e3 * s.position_rms,
+        s.switches_per_mm,
+        s.pieces,
+        1e3 * s.length_median,
+        1e3 * report.radius_mm[0],
+    );
+}
+
+fn option(name: &str, usual: f64) -> f64 {
+    std::env::var(name).map_or(usual, |v| v.parse().unwrap())
+}
+
+fn processor_seconds() -> f64 {
+    let spent = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    spent.tv_sec as f64 + 1e-9 * spent.tv_nsec as f64
+}
