@@ -3,6 +3,7 @@
 //! Pure numbers: knows neither cloth nor files. Angles are radians, everything is `f64`.
 
 pub mod direction;
+pub mod kronrod;
 pub mod quadrature;
 pub mod random;
 pub mod special;

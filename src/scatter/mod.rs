@@ -5,7 +5,7 @@
 //! in the fiber frame (x along the fiber) and point away from the fiber; `wi` toward the light, `wo` toward the
 //! camera. Models need not be reciprocal, so the order matters.
 //!
-//! Volumes of fibers have a contract of their own, in [`media`].
+//! Volumes of fibers have a contract of their own, in [`media`], and so has cloth as a surface, in [`surface`].
 
 pub mod albedo;
 mod any;
@@ -19,6 +19,7 @@ pub mod normalizer;
 mod parameters;
 mod per_system;
 mod piecewise;
+pub mod surface;
 
 pub use any::AnyModel;
 pub use batch::{BatchEvaluate, BatchValues, Footprint, MAX_COLUMNS, OneByOne};
