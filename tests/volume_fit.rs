@@ -17,7 +17,7 @@ use render_scenes::{WIDE, pose, seed};
 use serde_json::Value;
 use std::path::Path;
 use tempfile::TempDir;
-use volumes::{Volume, medium, random_voxels, write};
+use volumes::{Volume, medium, random_voxels};
 
 fn poses() -> Vec<Configuration> {
     vec![
@@ -131,7 +131,9 @@ fn goniofit(arguments: &[&str], folder: &Path) -> (i32, String, String) {
 /// A folder with a fabric of voxels.
 fn place() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    write(&random_voxels(), &folder.path().join("cloth.nrrd"));
+    random_voxels()
+        .write(&folder.path().join("cloth.nrrd"))
+        .unwrap();
     let fabric =
         "kind = \"voxels\"\nname = \"cloth\"\nfile = \"cloth.nrrd\"\ndensity_per_mm = 40.0\n";
     std::fs::write(folder.path().join("cloth.toml"), fabric).unwrap();

@@ -2,7 +2,6 @@
 
 use super::VoxelTile;
 use crate::base::{Context, Error, Result};
-use glam::DVec3;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -77,67 +76,7 @@ fn read(file: VoxelFile, folder: &Path) -> Result<VoxelFabric> {
         name: file.name,
         description: file.description,
         sources: file.sources,
-        tile: read_tile(&folder.join(&file.file))?,
+        tile: VoxelTile::read(&folder.join(&file.file))?,
         density_per_mm: file.density_per_mm,
     })
-}
-
-/// Reads a tile of voxels: NRRD, raw and little-endian, four single precision numbers a voxel (density and direction).
-fn read_tile(path: &Path) -> Result<VoxelTile> {
-    let bytes = std::fs::read(path).context(|| format!("voxels {}", path.display()))?;
-    parse_tile(&bytes).context(|| format!("voxels {} cannot be used", path.display()))
-}
-
-fn parse_tile(bytes: &[u8]) -> Result<VoxelTile> {
-    let end = bytes.windows(2).position(|w| w == b"\n\n");
-    let end = end.ok_or_else(|| Error::new("it is no NRRD file with its header attached"))?;
-    let header = String::from_utf8_lossy(&bytes[..end]);
-    let field = |name: &str| {
-        let line = header
-            .lines()
-            .find_map(|l| l.strip_prefix(name)?.strip_prefix(": "));
-        line.ok_or_else(|| Error::new(format!("its header has no field '{name}'")))
-    };
-    for (name, expected) in [("type", "float"), ("encoding", "raw"), ("endian", "little")] {
-        let found = field(name)?;
-        if found != expected {
-            return Err(Error::new(format!(
-                "{name} is {found}, expected {expected}"
-            )));
-        }
-    }
-    let sizes: Vec<usize> = numbers(field("sizes")?);
-    let [4, nx, ny, nz] = sizes[..] else {
-        return Err(Error::new(
-            "sizes: expected 4 numbers a voxel, and three counts",
-        ));
-    };
-    let directions: Vec<f64> = numbers(field("space directions")?);
-    let origin: Vec<f64> = numbers(field("space origin")?);
-    let ([side, ..], [.., middle]) = (&directions[..], &origin[..]) else {
-        return Err(Error::new("space directions and origin: expected numbers"));
-    };
-    let mut tile = VoxelTile::empty([nx, ny, nz], *side, middle - 0.5 * side)?;
-    let voxels = bytes[end + 2..].as_chunks::<16>().0;
-    if voxels.len() != tile.density().len() || (bytes.len() - end - 2) % 16 != 0 {
-        return Err(Error::new(format!(
-            "{} bytes of voxels, expected {}",
-            bytes.len() - end - 2,
-            16 * tile.density().len()
-        )));
-    }
-    for (place, voxel) in voxels.iter().enumerate() {
-        let [density, x, y, z] = std::array::from_fn(|k| {
-            f32::from_le_bytes(std::array::from_fn(|byte| voxel[4 * k + byte]))
-        });
-        let direction = DVec3::from_array([x, y, z].map(f64::from));
-        tile.set(place, density, direction)?;
-    }
-    Ok(tile)
-}
-
-/// The numbers in a field, whatever stands around them.
-fn numbers<T: std::str::FromStr>(text: &str) -> Vec<T> {
-    let parts = text.split(|c: char| c.is_whitespace() || "(),".contains(c));
-    parts.filter_map(|part| part.parse().ok()).collect()
 }

@@ -199,22 +199,3 @@ pub(crate) fn numbers(e: &Estimate, model: &dyn MediumModel) -> Vec<(String, f64
         .chain(derivatives)
         .collect()
 }
-
-/// Writes a tile as NRRD: raw, little-endian, density and direction as four single precision numbers a voxel.
-pub(crate) fn write(tile: &VoxelTile, path: &std::path::Path) {
-    let ([nx, ny, nz], side) = (tile.shape(), tile.side());
-    let (first, z) = (0.5 * side, tile.bottom() + 0.5 * side);
-    let mut bytes = format!(
-        "NRRD0004\ntype: float\ndimension: 4\nspace: 3D-right-handed\nsizes: 4 {nx} {ny} {nz}\n\
-         space directions: none ({side},0,0) (0,{side},0) (0,0,{side})\nkinds: vector domain domain domain\n\
-         endian: little\nencoding: raw\nspace units: \"mm\" \"mm\" \"mm\"\nspace origin: ({first},{first},{z})\n\n"
-    )
-    .into_bytes();
-    for (place, density) in tile.density().iter().enumerate() {
-        let d = tile.direction(place);
-        for number in [*density, d.x as f32, d.y as f32, d.z as f32] {
-            bytes.extend(number.to_le_bytes());
-        }
-    }
-    std::fs::write(path, bytes).unwrap();
-}

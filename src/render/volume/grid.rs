@@ -290,7 +290,8 @@ impl Grid {
             let brick = self.brick(walk.wrapped.map(|c| c >> LOG));
             let (majorant, mut t, turn) = (majorants[brick], walk.t, walk.turn());
             let end = walk.leave_brick(self);
-            while majorant > 0.0 {
+            loop {
+                // Where the majorant is zero the flight is without end.
                 t -= random.uniform_open().ln() / majorant;
                 if t >= walk.t {
                     break;

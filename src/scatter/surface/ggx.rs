@@ -3,7 +3,7 @@
 use super::lambert::DIFFUSE;
 use super::{Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient, scalar};
 use crate::base::Result;
-use crate::scatter::{CHANNELS, ParameterInfo, Parameters};
+use crate::scatter::{CHANNELS, ParameterInfo, Parameters, Parametric};
 use glam::DVec3;
 use std::f64::consts::{FRAC_1_PI, PI};
 
@@ -21,7 +21,7 @@ const PARAMETERS: &[ParameterInfo] = &[
     scalar("roughness", 0.05, 1.0, 0.4),
 ];
 
-impl SurfaceModel for Ggx {
+impl Parametric for Ggx {
     fn name(&self) -> &'static str {
         "ggx"
     }
@@ -29,7 +29,9 @@ impl SurfaceModel for Ggx {
     fn parameters(&self) -> &'static [ParameterInfo] {
         PARAMETERS
     }
+}
 
+impl SurfaceModel for Ggx {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Surface>> {
         let row = |k: usize, lower: f64, upper: f64| {
             let values = parameters.channels(PARAMETERS[k].name);

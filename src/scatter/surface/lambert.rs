@@ -2,7 +2,7 @@
 
 use super::{Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient};
 use crate::base::Result;
-use crate::scatter::{CHANNELS, ParameterInfo, Parameters};
+use crate::scatter::{CHANNELS, ParameterInfo, Parameters, Parametric};
 use glam::DVec3;
 use std::f64::consts::FRAC_1_PI;
 
@@ -13,7 +13,7 @@ pub struct Lambert;
 /// Diffuse albedo of every reflectance model.
 pub(super) const DIFFUSE: ParameterInfo = coefficient("k_d", 1.0, 0.3);
 
-impl SurfaceModel for Lambert {
+impl Parametric for Lambert {
     fn name(&self) -> &'static str {
         "lambert"
     }
@@ -21,7 +21,9 @@ impl SurfaceModel for Lambert {
     fn parameters(&self) -> &'static [ParameterInfo] {
         const { &[DIFFUSE] }
     }
+}
 
+impl SurfaceModel for Lambert {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Surface>> {
         let k_d = check(self.name(), &DIFFUSE, parameters.channels("k_d"), 0.0, 1e6)?;
         Ok(Box::new(Diffuse { k_d }))

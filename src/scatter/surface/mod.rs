@@ -12,11 +12,10 @@ pub use ggx::Ggx;
 pub use lambert::Lambert;
 pub use woven::Woven;
 
-use super::{CHANNELS, ParameterInfo, Parameters, Unit};
+use super::{CHANNELS, ParameterInfo, Parameters, Parametric, Unit};
 use crate::base::{Error, Result};
 use crate::math::GaussLegendre;
 use glam::DVec3;
-use serde_json::Value;
 use std::f64::consts::TAU;
 
 /// Upper limit on the rows of a surface model.
@@ -27,7 +26,7 @@ pub const MAX_SURFACE_ROWS: usize = 16;
 pub struct SurfaceEvaluation {
     /// BRDF per channel, 1/sr.
     pub value: [f64; CHANNELS],
-    /// `derivative[row][channel]`: by the model's parameter `row` ([`SurfaceModel::parameters`] order; angles per radian). For a
+    /// `derivative[row][channel]`: by the model's parameter `row` ([`Parametric::parameters`] order; angles per radian). For a
     /// per-channel parameter it is by that channel's own value. Rows past the model's length are zero.
     pub derivative: [[f64; CHANNELS]; MAX_SURFACE_ROWS],
 }
@@ -50,34 +49,15 @@ pub trait Surface: Send + Sync {
     fn evaluate(&self, wi: DVec3, wr: DVec3) -> SurfaceEvaluation;
 }
 
-/// A reflectance model: a named list of parameters, and what they make. Every model is linear in its per-channel parameters, so
+/// A reflectance model: a named list of at most [`MAX_SURFACE_ROWS`] parameters, and the BRDFs they make. Every model is linear in its per-channel parameters, so
 /// that they can be had by linear least squares.
-pub trait SurfaceModel: Send + Sync {
-    /// The name used on the command line and in files, e.g. `lambert`.
-    fn name(&self) -> &'static str;
-
-    /// The parameters in the order of derivatives' rows; at most [`MAX_SURFACE_ROWS`].
-    fn parameters(&self) -> &'static [ParameterInfo];
-
+pub trait SurfaceModel: Parametric {
     /// The BRDF at `parameters`.
     ///
     /// # Errors
     /// When a value is not finite, or where the model has no meaning. Values outside the stated range but meaningful are
     /// accepted.
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Surface>>;
-
-    /// The stated defaults.
-    fn defaults(&self) -> Parameters {
-        Parameters::defaults_of(self.parameters())
-    }
-
-    /// Reads a parameter file's object, as [`Parameters::from_json`] does for models of fibers.
-    ///
-    /// # Errors
-    /// A key is missing, unknown, of the wrong shape, or not finite.
-    fn read(&self, object: &Value) -> Result<Parameters> {
-        Parameters::read_one_set(self.name(), self.parameters(), object)
-    }
 }
 
 /// All reflectance models, from simple to rich; woven ones with the segments of `layout`.

@@ -21,7 +21,7 @@ pub use shape::{Phase, SHAPE_ROWS, Shape, Spine};
 use super::lambert::DIFFUSE;
 use super::{Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient, scalar};
 use crate::base::{Error, Result};
-use crate::scatter::{CHANNELS, ParameterInfo, Parameters, Unit, YARN_SYSTEMS};
+use crate::scatter::{CHANNELS, ParameterInfo, Parameters, Parametric, Unit, YARN_SYSTEMS};
 use glam::DVec3;
 use std::f64::consts::FRAC_1_PI;
 
@@ -267,7 +267,7 @@ impl Woven {
     }
 }
 
-impl SurfaceModel for Woven {
+impl Parametric for Woven {
     fn name(&self) -> &'static str {
         match self.rung {
             Rung::Nine => "woven-9",
@@ -279,7 +279,9 @@ impl SurfaceModel for Woven {
     fn parameters(&self) -> &'static [ParameterInfo] {
         self.rung.parameters()
     }
+}
 
+impl SurfaceModel for Woven {
     fn prepare(&self, parameters: &Parameters) -> Result<Box<dyn Surface>> {
         let infos = self.parameters();
         let color = |row: usize| {
