@@ -119,7 +119,7 @@ fn parse_tile(bytes: &[u8]) -> Result<VoxelTile> {
     };
     let mut tile = VoxelTile::empty([nx, ny, nz], *side, middle - 0.5 * side)?;
     let voxels = bytes[end + 2..].as_chunks::<16>().0;
-    if voxels.len() != tile.density().len() || (bytes.len() - end - 2) % 16 != 0 {
+    if voxels.len() != tile.density().len() || !(bytes.len() - end - 2).is_multiple_of(16) {
         return Err(Error::new(format!(
             "{} bytes of voxels, expected {}",
             bytes.len() - end - 2,
