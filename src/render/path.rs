@@ -76,7 +76,7 @@ pub(super) struct Stage<'a> {
 pub(super) const CONNECTION_FLOOR: f64 = 0.01;
 
 /// Steps of the two-dimensional lattice of Roberts 2018 (powers of the inverse plastic number) for points on a lamp.
-pub(super) const LATTICE: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
+const LATTICE: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
 
 /// A ray of a path, with what it carries and how it began.
 struct Leg {

@@ -12,16 +12,13 @@ use crate::math::{Frame, Random};
 use crate::render::estimate::{CameraRay, Followed, Rules};
 use crate::render::light::Lamp;
 use crate::render::path::{
-    CONNECTION_FLOOR, Comb, Event, LATTICE, Visitor, cosine_direction, largest, times,
+    CONNECTION_FLOOR, Comb, Event, Visitor, cosine_direction, largest, times,
 };
 use crate::render::scene::{FiberSceneOptions, Plate};
 use crate::scatter::media::{Medium, Outgoing};
 use crate::scatter::{CHANNELS, Evaluation, MAX_ROWS};
 use glam::DVec3;
 use std::f64::consts::FRAC_1_PI;
-
-/// Points of a lamp that are looked at before one is asked for its light.
-const LIGHT_POINTS: usize = 4;
 
 /// A scene at fixed parameters.
 pub(super) struct VolumePaths<'a> {
@@ -241,8 +238,8 @@ impl<V: Visitor> Follower<'_, V> {
         }
     }
 
-    /// Next-event estimation, weighted against [`Follower::arrive_on_lamps`] by the balance heuristic; of several points on the
-    /// lamp one is chosen in proportion to what it would add if nothing stood between (resampled importance sampling, Talbot 2005).
+    /// Next-event estimation, weighted against [`Follower::arrive_on_lamps`] by the balance heuristic. One point of the lamp
+    /// is looked at: four, one of them chosen, cost more than they saved (docs/decisions/0009-volume-tracking.md).
     fn connect_lamp(
         &mut self,
         index: usize,
@@ -254,39 +251,28 @@ impl<V: Visitor> Follower<'_, V> {
     ) {
         let lamp = &self.rules.lamps[index];
         let medium = &*self.paths.medium;
-        let shift = [self.random.uniform(), self.random.uniform()];
-        let (mut total, mut chosen) = (0.0, None);
-        for k in 0..LIGHT_POINTS {
-            let uv = std::array::from_fn(|i| (shift[i] + k as f64 * LATTICE[i]).fract());
-            let Some(point) = lamp.point(at, uv) else {
-                continue;
-            };
-            let wi = frame.to_local(point.direction);
-            let (value, pdf) = medium.importance(wi, o);
-            let factor = lamp.normalized_radiance() / ((point.pdf + pdf) * LIGHT_POINTS as f64);
-            let worth = factor * largest(times(leg.carried, value));
-            if worth <= 0.0 {
-                continue;
-            }
-            total += worth;
-            // What is not a number goes on and is found in the result.
-            if worth.is_nan() || self.random.uniform() * total < worth {
-                chosen = Some((point.direction, wi, factor, worth));
-            }
-        }
-        let Some((direction, wi, factor, worth)) = chosen else {
+        let Some(point) = lamp.sample(at, self.random) else {
             return;
         };
-        let odds = (total / self.rules.worth[index]).clamp(CONNECTION_FLOOR, 1.0);
+        let wi = frame.to_local(point.direction);
+        let (value, pdf) = medium.importance(wi, o);
+        let factor = lamp.normalized_radiance() / (point.pdf + pdf);
+        let strength = factor * largest(times(leg.carried, value));
+        if strength <= 0.0 {
+            return;
+        }
+        let odds = (strength / self.rules.worth[index]).clamp(CONNECTION_FLOOR, 1.0);
+        // What is not a number goes on and is found in the result.
         if self.random.uniform() >= odds {
             return;
         }
-        let Some((through, scores)) = self.light_along(at, direction, index, total / odds) else {
+        let along = self.light_along(at, point.direction, index, strength / odds);
+        let Some((through, scores)) = along else {
             return;
         };
         let scores = sum(&scores, &flight.scores);
         let evaluation = with_scores(medium.evaluate(wi, o.wo), &scores);
-        let factor = factor * (total / worth) / odds * through;
+        let factor = factor / odds * through;
         self.visitor
             .connect(leg.depth, index, event(&evaluation, factor));
     }
