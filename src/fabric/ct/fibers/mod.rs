@@ -55,7 +55,7 @@ impl Default for Tracing {
         Self {
             radius: None,
             per_system: false,
-            gate: 0.9,
+            gate: 0.75,
             least_response: 0.12,
             join: true,
             least_vertices: 10,
