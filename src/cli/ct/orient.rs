@@ -137,7 +137,7 @@ impl Arguments {
 fn filter(text: &str) -> Result<Filter> {
     let expected = "s,t,h: two numbers and a whole one, such as 1,2,16";
     let [s, t, h] = argument("--filter", numbers(text, expected))?;
-    if !(h >= 1.0 && h <= 1e3 && h.fract().abs() < 1e-12) {
+    if !((1.0..=1e3).contains(&h) && h.fract().abs() < 1e-12) {
         return Err(Error::new(format!("--filter {text}: expected {expected}")));
     }
     Ok(Filter {

@@ -158,7 +158,7 @@ pub fn trace(
 /// The fibers are on a tile of another size, or the reach has no meaning.
 pub fn transfer(tile: &VoxelTile, fibers: &FiberTile, reach: f64) -> Result<(VoxelTile, f64)> {
     let same = (0..2).all(|k| (tile.size()[k] - fibers.size[k]).abs() < 0.5 * tile.side());
-    if !same || !(reach > 0.0 && reach.is_finite()) {
+    if !(same && reach > 0.0 && reach.is_finite()) {
         return Err(Error::new(format!(
             "fibers on {:?} mm, voxels on {:?} mm, within {reach} mm: expected the same tile and a distance above 0",
             fibers.size,
