@@ -119,7 +119,7 @@ fn main() {
         error,
     };
     if let Some(path) = argument("--write") {
-        volumes::write(&bench.tile, Path::new(&path));
+        bench.tile.write(Path::new(&path)).unwrap();
     }
     let speed = bench.scene(media::model("khungurn-volume").unwrap(), Integrator::Fast);
     let (_, medium) = volume_of("gabardine");

@@ -1,12 +1,16 @@
 //! `goniofit ct`.
 
+mod fibers;
 mod info;
+mod orient;
 mod prepare;
+mod simulate;
+mod tile;
 mod view;
 
 use super::Outcome;
 use super::terminal::Terminal;
-use crate::base::{Error, Result, Watch};
+use crate::base::{Context, Error, Result, Watch};
 use crate::fabric::ct::{Axes, Endian, Reading, Unit, Volume};
 use clap::{Subcommand, ValueEnum};
 use std::path::{Path, PathBuf};
@@ -16,10 +20,14 @@ const EXAMPLES: &str = "Examples:
   goniofit ct view scan/ --voxel-um 5 --out pictures
   goniofit ct prepare scan.mhd --unit um --axes x,-z,y --out cloth
   goniofit ct prepare scan.nrrd --out cloth --weft-deg 1.5 --warp-deg 1.5 --repeat-mm 1.2,0.9
+  goniofit ct orient cloth --radius-um 8 --out cloth
+  goniofit ct fibers cloth --radius-um 8 --out cloth.csv
+  goniofit ct tile cloth --repeat-mm 1.2,0.9 --copies 4,4 --out big.nrrd
+  goniofit ct simulate fabrics/gabardine.toml --voxel-um 5 --out virtual
 
 Volumes are folders of TIFF slices, TIFF files of several pages, NRRD, MetaImage and NPY files; docs/ct.md has the details.";
 
-/// Look at micro-CT volumes and prepare them: even, flat, aligned, cubic voxels
+/// Look at micro-CT volumes, prepare them, and find directions and fibers in them
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Arguments {
@@ -32,6 +40,10 @@ enum Command {
     Info(info::Arguments),
     View(view::Arguments),
     Prepare(prepare::Arguments),
+    Orient(orient::Arguments),
+    Fibers(fibers::Arguments),
+    Tile(tile::Arguments),
+    Simulate(simulate::Arguments),
 }
 
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
@@ -40,6 +52,10 @@ pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
         Command::Info(a) => info::run(&a, &terminal),
         Command::View(a) => view::run(&a, &terminal),
         Command::Prepare(a) => prepare::run(&a, &terminal),
+        Command::Orient(a) => orient::run(&a, &terminal),
+        Command::Fibers(a) => fibers::run(&a, &terminal),
+        Command::Tile(a) => tile::run(&a, &terminal),
+        Command::Simulate(a) => simulate::run(&a, &terminal),
     };
     terminal.finish_stage();
     match result {
@@ -80,6 +96,11 @@ enum ByteOrder {
 impl Source {
     /// Opens the volume, unpacking in `scratch` what must be, and says what a person should know of it.
     fn open(&self, scratch: &Path, terminal: &Terminal) -> Result<Volume> {
+        self.open_file(&self.volume, scratch, terminal)
+    }
+
+    /// The same for a file found beside what was named.
+    fn open_file(&self, path: &Path, scratch: &Path, terminal: &Terminal) -> Result<Volume> {
         let reading = Reading {
             voxel_um: self.voxel_um,
             unit: self.unit,
@@ -90,7 +111,7 @@ impl Source {
             }),
             scratch: scratch.to_owned(),
         };
-        let volume = Volume::open(&self.volume, &reading, terminal)?;
+        let volume = Volume::open(path, &reading, terminal)?;
         for note in volume.notes() {
             terminal.say(format!("note: {note}"));
         }
@@ -123,6 +144,37 @@ fn voxel_size(text: &str) -> Result<[f64; 3], String> {
         return Ok(size);
     }
     Err("a voxel size must be above 0".to_owned())
+}
+
+/// A number above 0, in micrometers.
+fn micrometers(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(um) if um > 0.0 && um < 1e6 => Ok(um),
+        _ => Err("expected micrometers above 0".to_owned()),
+    }
+}
+
+/// The file a folder of results holds under this name, or the path itself.
+fn inside(path: &Path, name: &str) -> PathBuf {
+    let file = path.join(name);
+    if file.is_file() {
+        file
+    } else {
+        path.to_owned()
+    }
+}
+
+/// A report as JSON with its format's name and the program's version in front.
+fn report_json(format: &str, report: &impl serde::Serialize) -> Result<serde_json::Value> {
+    let mut json = serde_json::json!({
+        "format": format,
+        "goniofit": env!("CARGO_PKG_VERSION"),
+    });
+    let done = serde_json::to_value(report).context(|| "the report cannot be written as JSON")?;
+    if let (Some(all), Some(done)) = (json.as_object_mut(), done.as_object()) {
+        all.extend(done.clone());
+    }
+    Ok(json)
 }
 
 /// Turns a fault of an argument into an error.

@@ -1,4 +1,4 @@
-//! A cut through a volume as a gray picture with a scale bar of known length.
+//! A cut through a volume as a picture with a scale bar of known length.
 
 use super::png_file;
 use crate::base::{Error, Result};
@@ -16,10 +16,12 @@ const PAPER: Rgb<u8> = Rgb([24, 24, 28]);
 pub struct Cut<'a> {
     /// Voxels across and up.
     pub size: [usize; 2],
-    /// Gray of each voxel, first across, from below.
-    pub gray: &'a [u8],
+    /// Red, green and blue of each voxel, first across, from below.
+    pub color: &'a [[u8; 3]],
     /// Size of a voxel across and up, millimeters.
     pub voxel_mm: [f64; 2],
+    /// Letters drawn in a color beside the bar, saying what it means.
+    pub legend: &'a [(char, [u8; 3])],
     /// Keyword and text kept in the file.
     pub notes: Vec<(&'a str, String)>,
 }
@@ -31,10 +33,10 @@ pub struct Cut<'a> {
 /// The numbers of voxels disagree, a voxel has no size, or the picture would have a side of more than 16384 pixels.
 pub fn png(cut: &Cut) -> Result<Vec<u8>> {
     let [nx, ny] = cut.size;
-    if nx == 0 || ny == 0 || nx.checked_mul(ny) != Some(cut.gray.len()) {
+    if nx == 0 || ny == 0 || nx.checked_mul(ny) != Some(cut.color.len()) {
         return Err(Error::new(format!(
             "{} values for a cut of {nx} x {ny} voxels",
-            cut.gray.len()
+            cut.color.len()
         )));
     }
     if !cut.voxel_mm.iter().all(|v| *v > 0.0 && v.is_finite()) {
@@ -58,11 +60,14 @@ pub fn png(cut: &Cut) -> Result<Vec<u8>> {
         for u in 0..width {
             let across = (u as usize * nx / sides[0]).min(nx - 1);
             let up = (v * ny / sides[1]).min(ny - 1);
-            image.put_pixel(u, row, Rgb([cut.gray[up * nx + across]; 3]));
+            image.put_pixel(u, row, Rgb(cut.color[up * nx + across]));
         }
     }
     let bar = bar_length(f64::from(width) * pixel);
-    draw_bar(&mut image, height, bar, pixel);
+    let mut x = draw_bar(&mut image, height, bar, pixel) + 12;
+    for (letter, color) in cut.legend {
+        x = draw_letter(&mut image, [x, height + 8], *letter, Rgb(*color));
+    }
     let mut notes = cut.notes.clone();
     notes.push((
         "Scale",
@@ -94,26 +99,30 @@ fn label(millimeters: f64) -> String {
     }
 }
 
-/// The bar and its label in the band below a picture of `height` pixels.
-fn draw_bar(image: &mut RgbImage, height: u32, length: f64, pixel: f64) {
+/// The bar and its label in the band below a picture of `height` pixels; returns where the label ends.
+fn draw_bar(image: &mut RgbImage, height: u32, length: f64, pixel: f64) -> u32 {
     let (left, pixels) = (8, (length / pixel).round().max(1.0) as u32);
     for y in height + 11..height + 15 {
         for x in left..(left + pixels).min(image.width()) {
             image.put_pixel(x, y, INK);
         }
     }
-    let mut x = left + pixels + 8;
-    for letter in label(length).chars() {
-        let rows = glyph(letter);
-        for (dy, row) in (0..10).map(|dy| (dy, rows[dy as usize / 2])) {
-            for dx in (0..10).filter(|dx| row & (16 >> (dx / 2)) != 0) {
-                if x + dx < image.width() {
-                    image.put_pixel(x + dx, height + 8 + dy, INK);
-                }
+    label(length).chars().fold(left + pixels + 8, |x, letter| {
+        draw_letter(image, [x, height + 8], letter, INK)
+    })
+}
+
+/// A letter with its upper left corner at a pixel; returns where the next begins.
+fn draw_letter(image: &mut RgbImage, [x, y]: [u32; 2], letter: char, ink: Rgb<u8>) -> u32 {
+    let rows = glyph(letter);
+    for (dy, row) in (0..10).map(|dy| (dy, rows[dy as usize / 2])) {
+        for dx in (0..10).filter(|dx| row & (16 >> (dx / 2)) != 0) {
+            if x + dx < image.width() {
+                image.put_pixel(x + dx, y + dy, ink);
             }
         }
-        x += 2 * advance(letter);
     }
+    x + 2 * advance(letter)
 }
 
 /// Width of a letter with the gap after it, in dots.
@@ -139,6 +148,9 @@ fn glyph(letter: char) -> [u8; 5] {
         '7' => three([0b111, 0b001, 0b001, 0b010, 0b010]),
         '8' => three([0b111, 0b101, 0b111, 0b101, 0b111]),
         '9' => three([0b111, 0b101, 0b111, 0b001, 0b111]),
+        'x' => three([0b000, 0b101, 0b010, 0b010, 0b101]),
+        'y' => three([0b101, 0b101, 0b010, 0b010, 0b010]),
+        'z' => three([0b000, 0b111, 0b001, 0b010, 0b111]),
         'u' => three([0b000, 0b101, 0b101, 0b101, 0b111]),
         'm' => [0b00000, 0b11110, 0b10101, 0b10101, 0b10101],
         '.' => [0, 0, 0, 0, 0b10000],
@@ -153,12 +165,13 @@ mod tests {
     #[test]
     fn the_picture_stands_upright_and_its_bar_is_as_long_as_it_says() {
         // 400 x 2 voxels of 5 x 10 um: 2 mm wide, so a bar of 500 um is 100 pixels long.
-        let mut gray = vec![10; 800];
-        gray[400..].fill(200);
-        gray[0] = 99;
+        let mut color = vec![[10; 3]; 800];
+        color[400..].fill([200; 3]);
+        color[0] = [99, 0, 50];
         let cut = Cut {
             size: [400, 2],
-            gray: &gray,
+            color: &color,
+            legend: &[('x', [255, 0, 0])],
             voxel_mm: [0.005, 0.01],
             notes: vec![("Title", "xz, y = 3".to_owned())],
         };
@@ -167,10 +180,11 @@ mod tests {
         assert_eq!(image.dimensions(), (400, 4 + BAND));
         assert_eq!(image.get_pixel(7, 0).0, [200; 3]);
         assert_eq!(image.get_pixel(7, 3).0, [10; 3]);
-        assert_eq!(image.get_pixel(0, 2).0, [99; 3]);
+        assert_eq!(image.get_pixel(0, 2).0, [99, 0, 50]);
         let bar = (0..400).filter(|x| *image.get_pixel(*x, 4 + 12) == INK);
         // The label's dots share a row with the bar, beyond it.
         assert_eq!(bar.filter(|x| *x < 8 + 100 + 8).count(), 100);
+        assert!((0..400).any(|x| image.get_pixel(x, 4 + 17).0 == [255, 0, 0]));
         let text = String::from_utf8_lossy(&bytes);
         assert!(text.contains("5 um per pixel; bar 500 um") && text.contains("xz, y = 3"));
     }
@@ -192,7 +206,8 @@ mod tests {
     fn what_is_no_cut_is_refused() {
         let cut = |size, voxel| Cut {
             size,
-            gray: &[1, 2],
+            color: &[[1; 3], [2; 3]],
+            legend: &[],
             voxel_mm: [voxel, 0.01],
             notes: Vec::new(),
         };

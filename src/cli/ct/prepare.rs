@@ -1,6 +1,6 @@
 //! `goniofit ct prepare`.
 
-use super::{Source, argument, numbers};
+use super::{Source, argument, numbers, report_json};
 use crate::base::{Context, Error, Result};
 use crate::cli::inputs;
 use crate::cli::output::data;
@@ -76,15 +76,8 @@ pub(super) fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
             arguments.source.volume.display()
         )
     })?;
-    let mut json = serde_json::json!({
-        "format": "goniofit-ct-prepared-1",
-        "goniofit": env!("CARGO_PKG_VERSION"),
-        "scan": arguments.source.volume,
-    });
-    let done = serde_json::to_value(&report).context(|| "the report cannot be written as JSON")?;
-    if let (Some(all), Some(done)) = (json.as_object_mut(), done.as_object()) {
-        all.extend(done.clone());
-    }
+    let mut json = report_json("goniofit-ct-prepared-1", &report)?;
+    json["scan"] = serde_json::json!(arguments.source.volume);
     files::write_atomic(&json_file, format!("{json:#}\n").as_bytes())?;
     terminal.say(in_words(&report));
     data!("{}", volume_file.display());

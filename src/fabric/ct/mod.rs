@@ -27,6 +27,7 @@ mod slices;
 mod statistics;
 mod store;
 mod tiff_stack;
+mod tiling;
 
 pub use axes::Axes;
 pub use fibers::{FiberScore, FoundRadius, TraceReport, Tracing, compare, trace, transfer};
@@ -38,6 +39,7 @@ pub use sample::{Endian, SampleType, Unit};
 pub use simulate::{Simulated, Simulating, simulate};
 pub use slices::{Plane, slices};
 pub use statistics::{Statistics, statistics};
+pub use tiling::{Patch, SeamReport, tiled};
 
 use crate::base::{Context, Error, Result, Watch};
 use std::ops::Range;

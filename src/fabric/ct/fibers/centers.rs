@@ -6,7 +6,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// Scales as shares of radius / sqrt(2), where the response to a disc is strongest.
-const SCALES: [f64; 3] = [0.75, 0.9, 1.1];
+const SCALES: [f64; 3] = [0.6, 0.8, 1.0];
 /// Voxels whose direction is nearer than this cosine to the slices' axis are looked at.
 const ALONG: f64 = 0.5;
 /// Half the length over which density is averaged along fibers, radii.

@@ -28,6 +28,8 @@ use track::{Line, joined, track};
 const FIRST_GUESS: f64 = 1.8;
 /// Shorter lines are not joined to others, vertices.
 const LEAST_TO_JOIN: usize = 4;
+/// Tangent of the angle off an axis from which fibers count as oblique.
+const OBLIQUE: f64 = 0.466;
 /// Radii that this library looks for, voxels.
 const RADII: std::ops::RangeInclusive<f64> = 0.8..=30.0;
 
@@ -55,7 +57,7 @@ impl Default for Tracing {
         Self {
             radius: None,
             per_system: false,
-            gate: 0.9,
+            gate: 0.75,
             least_response: 0.12,
             join: true,
             least_vertices: 10,
@@ -83,9 +85,9 @@ pub struct TraceReport {
     pub radius_mm: [f64; 2],
     /// How the radius was found, where it was not given: for both systems, or for warp and weft.
     pub found_radius: Vec<FoundRadius>,
-    /// Share of voxels steeper than 45 degrees, along no axis of the cloth.
+    /// Share of voxels steeper than 45 degrees.
     pub steep_share: f64,
-    /// Share of voxels more than 35 degrees off every axis, where fibers are hard to follow.
+    /// Share of voxels that, seen from above, run more than 25 degrees off x and y.
     pub oblique_share: f64,
     /// What a person should know.
     pub notes: Vec<String>,
@@ -156,7 +158,7 @@ pub fn trace(
 /// The fibers are on a tile of another size, or the reach has no meaning.
 pub fn transfer(tile: &VoxelTile, fibers: &FiberTile, reach: f64) -> Result<(VoxelTile, f64)> {
     let same = (0..2).all(|k| (tile.size()[k] - fibers.size[k]).abs() < 0.5 * tile.side());
-    if !same || !(reach > 0.0 && reach.is_finite()) {
+    if !(same && reach > 0.0 && reach.is_finite()) {
         return Err(Error::new(format!(
             "fibers on {:?} mm, voxels on {:?} mm, within {reach} mm: expected the same tile and a distance above 0",
             fibers.size,
@@ -340,14 +342,18 @@ fn length(line: &Line) -> f64 {
     line.points.windows(2).map(|w| w[0].distance(w[1])).sum()
 }
 
-/// Shares of voxels along z most of all, and more than 35 degrees off every axis.
+/// Shares of voxels along z most of all, and of others that are more than 25 degrees off x and y seen from above.
 fn off_axes(tile: &VoxelTile) -> (f64, f64) {
     let (mut all, mut steep, mut oblique) = (0.0, 0.0, 0.0);
     for place in (0..tile.density().len()).filter(|p| tile.density()[*p] > 0.0) {
         let d = tile.direction(place);
         all += 1.0;
-        steep += f64::from(u8::from(main_axis(d) == 2));
-        oblique += f64::from(u8::from(d.abs().max_element() < 0.819));
+        let (x, y) = (d.x.abs(), d.y.abs());
+        if main_axis(d) == 2 {
+            steep += 1.0;
+        } else if x.min(y) > OBLIQUE * x.max(y) {
+            oblique += 1.0;
+        }
     }
     (steep / f64::max(all, 1.0), oblique / f64::max(all, 1.0))
 }
@@ -356,7 +362,7 @@ fn notes(steep: f64, oblique: f64, radius: f64) -> Vec<String> {
     let mut notes = Vec::new();
     if oblique > 0.1 {
         notes.push(format!(
-            "{:.0} % of the fiber runs more than 35 degrees off x, y and z, where lines break: is the cloth aligned? (goniofit ct prepare --weft-deg --warp-deg)",
+            "{:.0} % of the fiber runs more than 25 degrees off x and y, and lines break toward 45: is the cloth aligned? (goniofit ct prepare --weft-deg --warp-deg)",
             100.0 * oblique
         ));
     }

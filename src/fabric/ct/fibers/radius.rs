@@ -16,7 +16,7 @@ const PARTS: u64 = 4;
 pub struct FoundRadius {
     /// The best candidate, millimeters.
     pub radius: f64,
-    /// The best candidates when the least density is moved by a fifth down and up, as far as the voxels tell.
+    /// The best candidates when the least density is moved by two fifths up and, as far as the voxels tell, down.
     pub range: [f64; 2],
     /// Share of fiber voxels that cylinders of this radius cover, and of the cylinders' voxels that hold fiber.
     pub covered: [f64; 2],
@@ -87,7 +87,7 @@ pub(super) fn best_radius(
     let millimeters = |r: f32| f64::from(r) * tile.side();
     let (_, radius, covered) = best(0.0);
     // Below the least density kept nothing is known: the mirror image of going up stands for going down.
-    let up = best(1.2 * least).1;
+    let up = best(1.4 * least).1;
     Some(FoundRadius {
         radius: millimeters(radius),
         range: [

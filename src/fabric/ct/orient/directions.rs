@@ -82,8 +82,9 @@ impl Filter {
         taps
     }
 
-    /// The largest value it can have along a direction, with its sign turned: that of air all around.
-    pub(super) fn all_air(&self, d: DVec3) -> f64 {
+    /// Its value in air, the least it can have.
+    #[cfg(test)]
+    fn all_air(&self, d: DVec3) -> f64 {
         self.taps(d).iter().map(|t| f64::from(t.1)).sum()
     }
 

@@ -76,7 +76,7 @@ mod tests {
             }
             assert!(found[0] <= found[1] && found[1] <= found[2]);
         }
-        assert_eq!(eigen([0.0; 6]).0, [0.0; 3]);
+        assert!(eigen([0.0; 6]).0.iter().all(|v| v.abs() <= 0.0));
         let (values, vectors) = eigen([2.0, 1.0, 3.0, 0.0, 0.0, 0.0]);
         assert_eq!((values, vectors[0]), ([1.0, 2.0, 3.0], DVec3::Y));
     }
