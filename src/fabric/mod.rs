@@ -16,8 +16,10 @@ mod hair_format;
 mod link;
 mod mitsuba_format;
 mod overlap;
+mod visible;
 mod voxels;
 mod weave;
+mod wif;
 mod woven;
 mod yarn;
 
@@ -25,6 +27,7 @@ pub use centerline::{CenterLine, Jet, L_MAX, L_MIN, float_profile};
 pub use curves::{Curve, curves, from_curves};
 pub use describe::{FabricReport, SystemReport};
 pub use description::{fiber_file, load};
+pub use visible::VisibleSegment;
 pub use voxels::{PackedDirection, VoxelTile};
 pub use weave::{Draft, MAX_DRAFT};
 pub use woven::{Closing, MAX_SEGMENTS, Segmentation, System, Woven};
