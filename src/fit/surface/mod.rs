@@ -14,7 +14,7 @@ use crate::base::Result;
 use crate::scatter::surface::SurfaceModel;
 use crate::session::Measurements;
 
-/// Fits of several models to the same measurements, and the one that says most per parameter: the smallest corrected
+/// Fits of several models to the same measurements, each also begun from those before it, and the one that says most per parameter: the smallest corrected
 /// information criterion (AICc) over numbers at distinct geometries.
 ///
 /// # Errors
@@ -26,7 +26,11 @@ pub fn surface_ladder(
 ) -> Result<(Vec<SurfaceResult>, usize)> {
     let mut results: Vec<SurfaceResult> = Vec::new();
     for model in models {
-        match fit_surface(model.as_ref(), measurements, options) {
+        let options = SurfaceOptions {
+            begin: results.iter().map(|r| r.parameters.clone()).collect(),
+            ..options.clone()
+        };
+        match fit_surface(model.as_ref(), measurements, &options) {
             Ok(result) => results.push(result),
             Err(e) if results.is_empty() => return Err(e),
             // A richer model than the measurements can carry.

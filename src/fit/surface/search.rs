@@ -7,6 +7,7 @@ use crate::math::Random;
 use crate::scatter::surface::SurfaceModel;
 use crate::scatter::{Parameters, Unit};
 use crate::session::Measurements;
+use rayon::prelude::*;
 
 /// What a search is asked.
 #[derive(Debug, Clone)]
@@ -19,15 +20,18 @@ pub struct SurfaceOptions {
     pub starts: usize,
     /// Scalar parameters by name that stay as given; radians for angles.
     pub held: Vec<(String, f64)>,
+    /// Fits of simpler models to begin from as well: parameters of the same name, or the same but for `warp_` and `weft_`.
+    pub begin: Vec<Parameters>,
 }
 
 impl Default for SurfaceOptions {
     fn default() -> Self {
         Self {
             seed: 1,
-            looks: 300,
-            starts: 12,
+            looks: 600,
+            starts: 24,
             held: Vec::new(),
+            begin: Vec::new(),
         }
     }
 }
@@ -90,15 +94,13 @@ pub fn fit_surface(
     options: &SurfaceOptions,
 ) -> Result<SurfaceResult> {
     let problem = Problem::new(model, measurements, &options.held)?;
-    let mut ends: Vec<End> = starts(&problem, options)
-        .into_iter()
-        .map(|x| descend(&problem, x))
-        .collect();
+    let follow = |list: Vec<Vec<f64>>| -> Vec<End> {
+        list.into_par_iter().map(|x| descend(&problem, x)).collect()
+    };
+    let mut ends = follow(starts(&problem, options));
     ends.sort_by(|a, b| a.objective.total_cmp(&b.objective));
     // Mirrored and exchanged copies of the best may be better, or as good.
-    for x in copies(&problem, &ends[0].x) {
-        ends.push(descend(&problem, x));
-    }
+    ends.extend(follow(copies(&problem, &ends[0].x)));
     ends.sort_by(|a, b| a.objective.total_cmp(&b.objective));
     Ok(summarize(&problem, &ends))
 }
@@ -124,7 +126,14 @@ fn starts(problem: &Problem<'_>, options: &SurfaceOptions) -> Vec<Vec<f64>> {
     if problem.shape.is_empty() {
         return list;
     }
+    for simpler in &options.begin {
+        let mut x = carried(problem, simpler);
+        inside(&mut x);
+        list.extend(copies(problem, &x));
+        list.push(x);
+    }
     let mut looks: Vec<End> = (0..options.looks)
+        .into_par_iter()
         .map(|k| {
             let mut random = Random::keyed(&[options.seed, k as u64]);
             let mut x = first.clone();
@@ -145,6 +154,20 @@ fn starts(problem: &Problem<'_>, options: &SurfaceOptions) -> Vec<Vec<f64>> {
     let best = looks.into_iter().take(options.starts.max(1) - 1);
     list.extend(best.map(|e| e.x));
     list
+}
+
+/// The parameters of a simpler model in this one; defaults where it has none.
+fn carried(problem: &Problem<'_>, simpler: &Parameters) -> Vec<f64> {
+    let names = simpler.flat_names();
+    let defaults = problem.model.defaults();
+    let value = |(name, default): (String, &f64)| {
+        let own = name.strip_prefix("warp_").or(name.strip_prefix("weft_"));
+        let same = |n: &String| *n == name || own == Some(n.as_str());
+        let place = names.iter().position(same);
+        place.map_or(*default, |p| simpler.values()[p])
+    };
+    let pairs = defaults.flat_names().into_iter().zip(defaults.values());
+    pairs.map(value).collect()
 }
 
 /// Levenberg and Marquardt within the bounds.

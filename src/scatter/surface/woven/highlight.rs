@@ -177,9 +177,9 @@ impl Highlight {
     /// `G A` over `a (R + a cos v)`, per unit of the variable; not negative where the place is visible.
     #[inline]
     pub(super) fn weight(&self, p: &Place) -> f64 {
-        // In this order nothing underflows at grazing directions.
+        // In this order nothing underflows at grazing directions, and exchanged directions give the same digits.
         let sum = p.light + p.camera;
-        let attenuation = p.light / sum * p.camera;
+        let attenuation = p.light.max(p.camera) / sum * p.light.min(p.camera);
         if self.by_phi {
             attenuation / (self.length * self.rho * p.cos_s)
         } else {

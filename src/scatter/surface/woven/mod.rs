@@ -10,6 +10,7 @@
 //! that goes from yarn to yarn, transmission.
 
 mod highlight;
+mod kinks;
 mod presets;
 mod published;
 mod segment;
