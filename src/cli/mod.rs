@@ -38,6 +38,7 @@ mod session;
 mod sim;
 mod simulate;
 mod validate;
+mod woven;
 
 use crate::base::Result;
 use clap::{Parser, Subcommand};
@@ -84,6 +85,7 @@ enum Command {
     Scatter(scatter::Arguments),
     Fabric(fabric::Arguments),
     Ct(ct::Arguments),
+    Woven(woven::Arguments),
     Predict(predict::Arguments),
     Validate(validate::Arguments),
     Chart(chart::Arguments),
@@ -124,6 +126,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Scatter(a) => scatter::run(a),
         Command::Fabric(a) => fabric::run(a),
         Command::Ct(a) => ct::run(a),
+        Command::Woven(a) => woven::run(a),
         Command::Predict(a) => predict::run(a),
         Command::Validate(a) => validate::run(a),
         Command::Chart(a) => chart::run(a),

@@ -29,6 +29,7 @@ struct WovenFile {
 struct WeaveFile {
     pattern: Option<String>,
     draft: Option<Vec<String>>,
+    wif: Option<PathBuf>,
     #[serde(default = "once")]
     repeats: [usize; 2],
     #[serde(default = "quarter")]
@@ -143,7 +144,7 @@ fn read(text: &str, folder: &Path) -> Result<Fabric> {
         return imported(parse(text)?, folder);
     }
     let file: WovenFile = parse(text)?;
-    let woven = file.check()?;
+    let woven = file.check(folder)?;
     let swatch = woven.swatch()?;
     let tile = swatch.tile();
     let densities = [woven.warp.density, woven.weft.density];
@@ -186,14 +187,22 @@ fn imported(file: ImportedFile, folder: &Path) -> Result<Fabric> {
     })
 }
 
+/// The draft of a WIF file.
+fn read_wif(path: &Path) -> Result<Draft> {
+    let bytes = std::fs::read(path).context(|| format!("{} cannot be read", path.display()))?;
+    // Names in other sections may be in any encoding.
+    Draft::from_wif(&String::from_utf8_lossy(&bytes)).context(|| format!("{}", path.display()))
+}
+
 impl WovenFile {
-    fn check(&self) -> Result<Woven> {
+    fn check(&self, folder: &Path) -> Result<Woven> {
         let weave = &self.weave;
-        let draft = match (&weave.pattern, &weave.draft) {
-            (Some(name), None) => Draft::named(name),
-            (None, Some(rows)) => Draft::from_rows(rows),
+        let draft = match (&weave.pattern, &weave.draft, &weave.wif) {
+            (Some(name), None, None) => Draft::named(name),
+            (None, Some(rows), None) => Draft::from_rows(rows),
+            (None, None, Some(path)) => read_wif(&folder.join(path)),
             _ => Err(
-                Error::new("expected one of 'pattern' and 'draft'").with_hint(
+                Error::new("expected one of 'pattern', 'draft' and 'wif'").with_hint(
                     "pattern = \"2/2 twill\", or draft = [\"10\", \"01\"] (1 = warp on top)",
                 ),
             ),

@@ -28,6 +28,7 @@ mod search;
 mod space;
 mod suggest;
 mod summary;
+pub mod surface;
 mod uncertainty;
 mod validate;
 mod verdict;

@@ -1,7 +1,9 @@
 //! Lambert's law and one lobe of microfacets with the distribution of Trowbridge and Reitz (Walter et al. 2007, "GGX").
 
 use super::lambert::DIFFUSE;
-use super::{Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient, scalar};
+use super::{
+    MAX_SURFACE_ROWS, Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient, scalar,
+};
 use crate::base::Result;
 use crate::scatter::{CHANNELS, ParameterInfo, Parameters, Parametric};
 use glam::DVec3;
@@ -88,5 +90,13 @@ impl Surface for Glossy {
         e.derivative[0] = [FRAC_1_PI; CHANNELS];
         e.derivative[1] = [lobe; CHANNELS];
         e
+    }
+
+    fn colors(&self, wi: DVec3, wr: DVec3) -> [f64; MAX_SURFACE_ROWS] {
+        let mut rows = [0.0; MAX_SURFACE_ROWS];
+        if above(wi, wr) {
+            (rows[0], rows[1]) = (FRAC_1_PI, self.lobe(wi, wr).0);
+        }
+        rows
     }
 }

@@ -1,6 +1,8 @@
 //! Lambert's law: the same radiance toward everywhere.
 
-use super::{Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient};
+use super::{
+    MAX_SURFACE_ROWS, Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient,
+};
 use crate::base::Result;
 use crate::scatter::{CHANNELS, ParameterInfo, Parameters, Parametric};
 use glam::DVec3;
@@ -48,5 +50,13 @@ impl Surface for Diffuse {
             e.derivative[0] = [FRAC_1_PI; CHANNELS];
         }
         e
+    }
+
+    fn colors(&self, wi: DVec3, wr: DVec3) -> [f64; MAX_SURFACE_ROWS] {
+        let mut rows = [0.0; MAX_SURFACE_ROWS];
+        if above(wi, wr) {
+            rows[0] = FRAC_1_PI;
+        }
+        rows
     }
 }

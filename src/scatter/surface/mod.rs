@@ -47,6 +47,10 @@ pub trait Surface: Send + Sync {
 
     /// The BRDF and its derivatives.
     fn evaluate(&self, wi: DVec3, wr: DVec3) -> SurfaceEvaluation;
+
+    /// The derivatives by the per-channel parameters, of which the BRDF is a linear function, by row: the same in all channels, and
+    /// independent of those parameters. Zero in other rows.
+    fn colors(&self, wi: DVec3, wr: DVec3) -> [f64; MAX_SURFACE_ROWS];
 }
 
 /// A reflectance model: a named list of at most [`MAX_SURFACE_ROWS`] parameters, and the BRDFs they make. Every model is linear in its per-channel parameters, so

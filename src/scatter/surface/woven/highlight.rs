@@ -177,12 +177,13 @@ impl Highlight {
     /// `G A` over `a (R + a cos v)`, per unit of the variable; not negative where the place is visible.
     #[inline]
     pub(super) fn weight(&self, p: &Place) -> f64 {
+        // In this order nothing underflows at grazing directions, and exchanged directions give the same digits.
         let sum = p.light + p.camera;
-        let attenuation = p.light * p.camera / sum;
+        let attenuation = p.light.max(p.camera) / sum * p.light.min(p.camera);
         if self.by_phi {
             attenuation / (self.length * self.rho * p.cos_s)
         } else {
-            attenuation / (sum * self.sin_psi)
+            attenuation / sum / self.sin_psi
         }
     }
 
@@ -202,14 +203,14 @@ impl Highlight {
             (w.x * p.cos_v - w_c * p.sin_v) * v_slope
                 + p.cos_v * (w.across * p.cos_s - w.along * p.sin_s) * s_slope
         };
-        let (x, y) = (p.light, p.camera);
+        let sum = p.light + p.camera;
+        let (x, y) = (p.light / sum, p.camera / sum);
         let (x_slope, y_slope) = (turn(&self.light, p.i_c), turn(&self.camera, p.r_c));
-        let sum = x + y;
         let weight = if self.by_phi {
-            (y * y * x_slope + x * x * y_slope) / (sum * sum * self.length * self.rho * p.cos_s)
+            (y * y * x_slope + x * x * y_slope) / (self.length * self.rho * p.cos_s)
                 + weight * p.sin_s / p.cos_s * s_slope
         } else {
-            (y - x) * (y * x_slope - x * y_slope) / (sum * sum * sum * self.sin_psi) - weight * cot
+            (y - x) * (y * x_slope - x * y_slope) / (sum * self.sin_psi) - weight * cot
         };
         ByTwist {
             weight,

@@ -10,16 +10,23 @@
 //! that goes from yarn to yarn, transmission.
 
 mod highlight;
+mod kinks;
+mod presets;
 mod published;
 mod segment;
 mod shape;
+mod texture;
 
+pub use presets::{PRESETS, Preset, UNIT_MM, preset};
 pub use published::Glint;
 pub use segment::{Estimate, Quality, Segment, TOLERANCE};
 pub use shape::{Phase, SHAPE_ROWS, Shape, Spine};
+pub use texture::{Noise, Placed, Repeat, Texture, YarnLook};
 
 use super::lambert::DIFFUSE;
-use super::{Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient, scalar};
+use super::{
+    MAX_SURFACE_ROWS, Surface, SurfaceEvaluation, SurfaceModel, above, check, coefficient, scalar,
+};
 use crate::base::{Error, Result};
 use crate::scatter::{CHANNELS, ParameterInfo, Parameters, Parametric, Unit, YARN_SYSTEMS};
 use glam::DVec3;
@@ -166,7 +173,7 @@ const fn angle(
 macro_rules! yarn {
     ($prefix:literal) => {
         [
-            coefficient(concat!($prefix, "k_s"), 100.0, 0.5),
+            coefficient(concat!($prefix, "k_s"), 100.0, 10.0),
             angle(concat!($prefix, "twist"), -90.0, 90.0, -30.0),
             angle(concat!($prefix, "inclination"), 1.0, 85.0, 30.0),
             scalar(concat!($prefix, "curvature"), -0.95, 10.0, 0.0),
@@ -368,5 +375,18 @@ impl Surface for Cloth {
             }
         }
         e
+    }
+
+    fn colors(&self, wi: DVec3, wr: DVec3) -> [f64; MAX_SURFACE_ROWS] {
+        let mut rows = [0.0; MAX_SURFACE_ROWS];
+        if !above(wi, wr) {
+            return rows;
+        }
+        rows[0] = FRAC_1_PI;
+        for yarn in &self.yarns {
+            let [i, r] = [wi, wr].map(|w| segment_frame(yarn.system, w));
+            rows[yarn.rows.specular] += yarn.weight * yarn.segment.value(i, r, self.quality);
+        }
+        rows
     }
 }

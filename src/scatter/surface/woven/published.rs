@@ -40,7 +40,7 @@ impl Segment {
         let seen = |w: DVec3| w.x * sin_v + across(w) * cos_v;
         let (x, y) = (seen(wi), seen(wr));
         (x > 0.0 && y > 0.0 && cos_v > 0.0).then(|| {
-            let area = x * y / ((x + y) * (x + y) * sin_psi.abs());
+            let area = x / (x + y) * (y / (x + y)) / sin_psi.abs();
             Glint {
                 angle: sin_v.atan2(cos_v),
                 strength: area * self.band(u, cos_v) * self.phase_and_fade(wi, wr, u),
@@ -58,7 +58,7 @@ impl Segment {
         let (x, y) = (seen(wi), seen(wr));
         let inside = u.abs() < self.shape().inclination;
         (inside && x > 0.0 && y > 0.0 && cos_v > 0.0).then(|| {
-            let area = x * y / ((x + y) * sum.y.hypot(sum.z));
+            let area = x / (x + y) * (y / sum.y.hypot(sum.z));
             Glint {
                 angle: u,
                 strength: area * self.band(u, cos_v) * self.phase_and_fade(wi, wr, u),

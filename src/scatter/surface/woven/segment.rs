@@ -3,7 +3,8 @@
 //! `f = int G f_c A` (Irawan 2008 eq. 8.1), mm^2/rad for one segment. No shadowing between segments, no interreflection, no
 //! transmission.
 
-use super::highlight::{Highlight, Place};
+use super::highlight::Highlight;
+use super::kinks::{End, FIT_SEARCH, Few, MARKS, Panel, REPORT_SEARCH, Search, visible_parts};
 use super::shape::{Fade, Phase, SHAPE_ROWS, Shape, Spine};
 use crate::base::Result;
 use crate::math::{GaussLegendre, kronrod};
@@ -53,71 +54,6 @@ pub struct Segment {
     straight: f64,
     rule: GaussLegendre,
 }
-
-/// A part of the curve where light and camera see the fibers.
-#[derive(Debug, Clone, Copy, Default)]
-struct Panel {
-    low: f64,
-    high: f64,
-    /// The ends that move with the inclination, and those that move with the twist where normals turn away.
-    low_end: End,
-    high_end: End,
-}
-
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-enum End {
-    /// Nothing is lost there, or the end stays.
-    #[default]
-    Still,
-    Inclined,
-    Turned,
-}
-
-/// A short list without an allocation.
-struct Few<T, const N: usize> {
-    items: [T; N],
-    count: usize,
-}
-
-impl<T: Copy + Default, const N: usize> Few<T, N> {
-    fn new() -> Self {
-        Self {
-            items: [T::default(); N],
-            count: 0,
-        }
-    }
-
-    /// Adds an item, if there is room.
-    fn push(&mut self, item: T) {
-        if self.count < N {
-            self.items[self.count] = item;
-            self.count += 1;
-        }
-    }
-
-    fn as_slice(&self) -> &[T] {
-        &self.items[..self.count]
-    }
-}
-
-/// How finely kinks are looked for.
-struct Search {
-    steps: usize,
-    /// Of the curve's length.
-    tolerance: f64,
-}
-
-const FIT_SEARCH: Search = Search {
-    steps: 6,
-    tolerance: 1e-4,
-};
-const REPORT_SEARCH: Search = Search {
-    steps: 16,
-    tolerance: 1e-8,
-};
-
-/// The kinds of kinks.
-const KINKS: [fn(&Place) -> f64; 3] = [|p| p.light, |p| p.camera, |p| p.cos_v];
 
 impl Segment {
     /// Prepares a shape.
@@ -254,39 +190,9 @@ impl Segment {
     }
 
     /// The visible parts of the curve.
-    fn panels(&self, highlight: &Highlight, search: &Search) -> Few<Panel, 24> {
-        let mut marks: Few<(f64, End), 24> = Few::new();
-        let end = |inclined: bool| match inclined {
-            true => End::Inclined,
-            false => End::Still,
-        };
-        let (lower, upper) = (highlight.lower, highlight.upper);
-        marks.push((lower.at, end(lower.inclined)));
-        find_kinks(highlight, search, &mut marks);
-        if self.fade.is_some() {
-            let u = (1.0 - self.shape.smoothing) * self.shape.inclination;
-            for x in [highlight.variable(-u), highlight.variable(u)] {
-                if let Some(x) = x.filter(|x| (lower.at..upper.at).contains(x)) {
-                    marks.push((x, End::Still));
-                }
-            }
-        }
-        marks.push((upper.at, end(upper.inclined)));
-        let count = marks.count;
-        marks.items[..count].sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        let mut panels = Few::new();
-        for pair in marks.as_slice().windows(2) {
-            let ((low, low_end), (high, high_end)) = (pair[0], pair[1]);
-            if low < high && highlight.place(0.5 * (low + high)).visible() {
-                panels.push(Panel {
-                    low,
-                    high,
-                    low_end,
-                    high_end,
-                });
-            }
-        }
-        panels
+    fn panels(&self, highlight: &Highlight, search: &Search) -> Few<Panel, MARKS> {
+        let fades = (1.0 - self.shape.smoothing) * self.shape.inclination;
+        visible_parts(highlight, search, self.fade.map(|_| fades))
     }
 
     /// Parts of the visible panels on which the 15-point rule is good enough, the worst halved first.
@@ -431,58 +337,4 @@ fn unseen(wi: DVec3, wr: DVec3) -> f64 {
     } else {
         0.0
     }
-}
-
-/// Marks where light or camera lose sight of the fibers.
-fn find_kinks(highlight: &Highlight, search: &Search, marks: &mut Few<(f64, End), 24>) {
-    let (low, high) = (highlight.lower.at, highlight.upper.at);
-    let kinds = if highlight.turns_away() { 3 } else { 2 };
-    let step = (high - low) / search.steps as f64;
-    let mut before = (low, highlight.place(low));
-    for k in 1..=search.steps {
-        let x = if k == search.steps {
-            high
-        } else {
-            low + step * k as f64
-        };
-        let place = highlight.place(x);
-        for (kind, of) in KINKS.into_iter().enumerate().take(kinds) {
-            let (f0, f1) = (of(&before.1), of(&place));
-            if (f0 > 0.0) != (f1 > 0.0) {
-                let x = root(
-                    (before.0, f0),
-                    (x, f1),
-                    search.tolerance * (high - low),
-                    |x| of(&highlight.place(x)),
-                );
-                marks.push((x, if kind == 2 { End::Turned } else { End::Still }));
-            }
-        }
-        before = (x, place);
-    }
-}
-
-/// A root between two points of opposite sign, by the Illinois form of the false position.
-fn root(
-    (mut x0, mut f0): (f64, f64),
-    (mut x1, mut f1): (f64, f64),
-    tolerance: f64,
-    f: impl Fn(f64) -> f64,
-) -> f64 {
-    let mut last = x0;
-    for _ in 0..40 {
-        let x = x1 - f1 * (x1 - x0) / (f1 - f0);
-        if (x - last).abs() <= tolerance {
-            return x;
-        }
-        last = x;
-        let value = f(x);
-        if (value > 0.0) == (f1 > 0.0) {
-            f0 *= 0.5;
-        } else {
-            (x0, f0) = (x1, f1);
-        }
-        (x1, f1) = (x, value);
-    }
-    last
 }
