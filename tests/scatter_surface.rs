@@ -14,7 +14,7 @@ use goniofit::scatter::surface::woven::{
     Layout, Quality, RUNGS, Rung, Segment, SegmentType, Shape, Weights, segment_frame,
 };
 use goniofit::scatter::surface::{Ggx, SurfaceModel, Woven, directional_albedo, model, models};
-use goniofit::scatter::{CHANNELS, Parameters, Unit};
+use goniofit::scatter::{CHANNELS, Parameters, Parametric, Unit};
 use serde_json::json;
 use std::f64::consts::{FRAC_1_PI, FRAC_PI_2};
 use woven_cases::{above, stream};
@@ -64,7 +64,7 @@ fn inside(model: &dyn SurfaceModel, key: u64) -> Parameters {
 fn the_ladder_has_3_7_9_11_and_19_numbers() {
     let found: Vec<_> = models(&layout())
         .iter()
-        .map(|m| (m.name(), Parameters::defaults(m).values().len()))
+        .map(|m| (m.name(), Parameters::defaults(&**m).values().len()))
         .collect();
     let expected = [
         ("lambert", 3),
@@ -76,10 +76,10 @@ fn the_ladder_has_3_7_9_11_and_19_numbers() {
     assert_eq!(found, expected);
     for m in models(&layout()) {
         assert_eq!(
-            Parameters::from_json(m, &Parameters::defaults(m).to_json())
+            Parameters::from_json(&*m, &Parameters::defaults(&*m).to_json())
                 .unwrap()
                 .to_json(),
-            Parameters::defaults(m).to_json()
+            Parameters::defaults(&*m).to_json()
         );
         for info in m.parameters() {
             assert!(
@@ -125,7 +125,7 @@ fn a_cloth_looks_the_same_after_half_a_turn_but_not_after_a_quarter() {
         let mut values = inside(&m, 30).values().to_vec();
         values[..3].fill(0.0);
         let surface = m
-            .prepare(&Parameters::defaults(m).with_values(values))
+            .prepare(&Parameters::defaults(&m).with_values(values))
             .unwrap();
         let mut random = stream(31);
         let (mut half, mut other) = (0.0_f64, 0.0_f64);
@@ -257,7 +257,7 @@ fn colors_are_linear_and_the_richest_rung_contains_the_others() {
     let yarn = [v[3], v[4], v[5], v[6], v[7], 0.0, 0.01, v[8]];
     let same = [&v[..3], &yarn, &yarn].concat();
     let rich = nineteen
-        .prepare(&Parameters::defaults(nineteen).with_values(same))
+        .prepare(&Parameters::defaults(&nineteen).with_values(same))
         .unwrap();
     let poor = nine.prepare(&p).unwrap();
     let mut random = stream(61);
@@ -302,7 +302,7 @@ fn the_three_conventions_of_k_s_differ_by_their_stated_factors() {
     ] {
         let m = Woven::new(Rung::Nine, layout().with_weights(weights));
         let surface = m
-            .prepare(&Parameters::defaults(m).with_values(values.clone()))
+            .prepare(&Parameters::defaults(&m).with_values(values.clone()))
             .unwrap();
         let found = surface.value(wi, wr)[0] - 0.2 * FRAC_1_PI;
         assert!(
@@ -440,10 +440,10 @@ fn meaningless_values_are_refused_with_what_is_expected() {
         "a length of 0.15 mm is too short",
     );
     let m = Woven::new(Rung::Nine, layout());
-    let mut values = Parameters::defaults(m).values().to_vec();
+    let mut values = Parameters::defaults(&m).values().to_vec();
     values[0] = -0.1;
     let error = m
-        .prepare(&Parameters::defaults(m).with_values(values))
+        .prepare(&Parameters::defaults(&m).with_values(values))
         .err()
         .unwrap();
     assert!(
@@ -459,7 +459,7 @@ fn meaningless_values_are_refused_with_what_is_expected() {
         error.contains("known models: lambert, ggx, woven-9"),
         "{error}"
     );
-    let error = Parameters::from_json(m, &json!({"k_d": [0.1, 0.1, 0.1]})).unwrap_err();
+    let error = Parameters::from_json(&m, &json!({"k_d": [0.1, 0.1, 0.1]})).unwrap_err();
     assert!(error.to_string().contains("'k_s' is missing"), "{error}");
     assert_eq!(m.parameters()[2].unit, Unit::Angle);
 }
