@@ -178,6 +178,14 @@ fn commands_take_fabrics_of_voxels() {
     assert_eq!(code, 0, "{error}");
     let rendered: Value = serde_json::from_str(&out).unwrap();
     assert!(rendered["configs"][0]["derivatives"]["gamma"][0].is_number());
+    // The file of voxels alone is a fabric too, of the usual density, ten times as dense.
+    let alone: Vec<&str> = (means.iter())
+        .map(|word| word.strip_suffix("toml").map_or(*word, |_| "cloth.nrrd"))
+        .collect();
+    let (code, out, error) = goniofit(&alone, folder.path());
+    assert_eq!(code, 0, "{error}");
+    let denser: Value = serde_json::from_str(&out).unwrap();
+    assert_ne!(denser["configs"][0]["mean"], rendered["configs"][0]["mean"]);
 
     let mut csv = "config,light_theta_deg,light_phi_deg,camera_theta_deg,camera_phi_deg,rotation_deg,r,g,b,r_se,g_se,b_se\n".to_owned();
     for (row, pose) in rendered["configs"]
@@ -258,10 +266,9 @@ fn wrong_pairs_of_fabric_and_model_are_refused() {
             "{code} {error}"
         );
     };
-    fails(
-        &["--fabric", "cloth.toml"],
-        "describes voxels, expected fibers",
-    );
+    for voxels in ["cloth.toml", "cloth.nrrd"] {
+        fails(&["--fabric", voxels], "describes voxels, expected fibers");
+    }
     let twill = concat!(env!("CARGO_MANIFEST_DIR"), "/fabrics/bench_twill22.toml");
     fails(
         &["--fabric", twill, "--model", "microflake"],

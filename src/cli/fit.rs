@@ -69,8 +69,8 @@ pub(crate) struct Asked {
     /// Measured intensities: measurements.csv or measurements.json
     #[arg(long, value_name = "M.csv|M.json")]
     pub(crate) measurements: PathBuf,
-    /// Fabric description (TOML)
-    #[arg(long, value_name = "F.toml")]
+    /// Fabric: description (TOML), fibers (.csv) or voxels (.nrrd)
+    #[arg(long, value_name = "F")]
     pub(crate) fabric: PathBuf,
     /// Scattering model
     #[arg(long, default_value = MODEL)]

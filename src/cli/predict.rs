@@ -30,8 +30,8 @@ pub(crate) struct Arguments {
     /// The fit (fit.json, or the folder that holds it)
     #[arg(long, value_name = "FIT")]
     fit: PathBuf,
-    /// Fabric description (TOML) [default: the fit's]
-    #[arg(long, value_name = "F.toml")]
+    /// Fabric: description (TOML), fibers (.csv) or voxels (.nrrd) [default: the fit's]
+    #[arg(long, value_name = "F")]
     fabric: Option<PathBuf>,
     /// Poses to predict [default: the measured ones]
     #[arg(long, value_name = "P.toml")]

@@ -34,8 +34,8 @@ pub(crate) struct Arguments {
     /// Measured intensities: measurements.csv or measurements.json
     #[arg(long, value_name = "M.csv|M.json")]
     measurements: PathBuf,
-    /// Fabric description (TOML)
-    #[arg(long, value_name = "F.toml")]
+    /// Fabric: description (TOML), fibers (.csv) or voxels (.nrrd)
+    #[arg(long, value_name = "F")]
     fabric: PathBuf,
     /// The fit of all these measurements (fit.json, or the folder that holds it)
     #[arg(long, value_name = "FIT")]

@@ -1,7 +1,7 @@
 //! Fabric description files (`fabrics/*.toml`): reading and checking. `docs/fabric.md` lists the keys.
 
 use super::woven::{Segmentation, System, Woven};
-use super::{Draft, Fabric, FabricReport, Format, import};
+use super::{Draft, Fabric, FabricReport, Format, VoxelTile, import};
 use crate::base::{Context, Error, Result};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -119,10 +119,19 @@ pub fn load(path: &Path) -> Result<Fabric> {
             report,
         });
     }
+    if VoxelTile::is_in(path) {
+        return Err(of_voxels()).context(what);
+    }
     let text = std::fs::read_to_string(path)
         .context(|| format!("fabric {} cannot be read", path.display()))?;
     let folder = path.parent().unwrap_or(Path::new("."));
     read(&text, folder).context(what)
+}
+
+fn of_voxels() -> Error {
+    Error::new("it describes voxels, expected fibers").with_hint(
+        "render, fit, predict and validate take voxels with a model of volumes: --model khungurn-volume",
+    )
 }
 
 /// The file of fibers that a description points to; none where it describes a weave or cannot be read.
@@ -136,9 +145,7 @@ pub fn fiber_file(path: &Path) -> Option<PathBuf> {
 fn read(text: &str, folder: &Path) -> Result<Fabric> {
     let table: toml::Table = parse(text)?;
     if table.get("kind").and_then(|k| k.as_str()) == Some("voxels") {
-        return Err(Error::new("it describes voxels, expected fibers").with_hint(
-            "render, fit, predict and validate take voxels with a model of volumes: --model khungurn-volume",
-        ));
+        return Err(of_voxels());
     }
     if table.contains_key("fibers") {
         return imported(parse(text)?, folder);

@@ -1,4 +1,4 @@
-//! Fabrics that are volumes: a description (`kind = "voxels"`) that points to a file of voxels.
+//! Fabrics that are volumes: a description (`kind = "voxels"`) that points to a file of voxels, or such a file itself.
 
 use super::VoxelTile;
 use crate::base::{Context, Error, Result};
@@ -34,8 +34,12 @@ pub struct VoxelFabric {
     pub density_per_mm: Option<f64>,
 }
 
-/// The file of voxels a description points to; none where it describes fibers or cannot be read.
+/// The file of voxels a description points to, or the path itself where that is one; none where it describes fibers or
+/// cannot be read.
 pub fn voxel_file(path: &Path) -> Option<PathBuf> {
+    if VoxelTile::is_in(path) {
+        return Some(path.to_owned());
+    }
     let table: toml::Table = toml::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
     if table.get("kind")?.as_str()? != "voxels" {
         return None;
@@ -44,12 +48,22 @@ pub fn voxel_file(path: &Path) -> Option<PathBuf> {
     Some(folder.join(table.get("file")?.as_str()?))
 }
 
-/// Reads a fabric that is a volume.
+/// Reads a fabric that is a volume: its description, or the file of voxels alone.
 ///
 /// # Errors
 /// The description or its file of voxels cannot be read, has an unknown or missing key, or a density that is not positive.
 pub fn load_voxels(path: &Path) -> Result<VoxelFabric> {
     let what = || format!("fabric {} cannot be used", path.display());
+    if VoxelTile::is_in(path) {
+        let name = path.file_stem().unwrap_or_default();
+        return Ok(VoxelFabric {
+            name: name.to_string_lossy().into_owned(),
+            description: String::new(),
+            sources: Vec::new(),
+            tile: VoxelTile::read(path)?,
+            density_per_mm: None,
+        });
+    }
     let text = std::fs::read_to_string(path)
         .context(|| format!("fabric {} cannot be read", path.display()))?;
     let file: VoxelFile = super::description::parse(&text).context(what)?;

@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 /// What is rendered.
 #[derive(clap::Args)]
 pub(super) struct Subject {
-    /// Fabric description (TOML)
-    #[arg(long, value_name = "F.toml")]
+    /// Fabric: description (TOML), fibers (.csv) or voxels (.nrrd)
+    #[arg(long, value_name = "F")]
     fabric: PathBuf,
     /// Scattering model
     #[arg(long, default_value = "khungurn")]
