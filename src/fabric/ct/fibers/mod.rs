@@ -109,7 +109,7 @@ pub fn trace(
     if given.is_none() {
         // Once more with the radius found with a guess.
         if let Some(found) = radius::best_radius(tile, segments(&lines, None), |_| true) {
-            expected = found.radius / tile.side();
+            expected = (found.radius / tile.side()).clamp(*RADII.start(), *RADII.end());
             (lines, counts) = self::lines(tile, options, expected, watch)?;
         }
     }
