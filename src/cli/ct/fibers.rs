@@ -126,9 +126,10 @@ fn in_words(r: &TraceReport) -> String {
     for found in &r.found_radius {
         let [low, high] = found.range.map(|v| 1e3 * v);
         lines.push(format!(
-            "radius {:.2} um, about {low:.2} to {high:.2} with the threshold on density; covers {:.0} % of the fiber voxels",
+            "radius {:.2} um, perhaps {low:.2} to {high:.2}: {:.2} by covering, {:.2} by volume; a measured one is worth more",
             1e3 * found.radius,
-            100.0 * found.covered[0]
+            1e3 * found.by_covering,
+            1e3 * found.by_volume
         ));
     }
     lines.extend(r.notes.iter().map(|n| format!("note: {n}")));

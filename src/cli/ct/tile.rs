@@ -67,7 +67,7 @@ pub(super) fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let path = inside(&arguments.oriented, "oriented.nrrd");
     let patch = VoxelTile::read(&path)?;
     let copies = copies.map(|n| n as usize);
-    let (tile, report) = tiled(&patch, cells, copies, arguments.seed)
+    let (tile, report) = tiled(&patch, cells, copies, arguments.seed, terminal)
         .context(|| format!("{} cannot be tiled", path.display()))?;
     tile.write(&arguments.out)?;
     let [nx, ny, nz] = tile.shape();

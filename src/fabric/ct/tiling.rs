@@ -3,7 +3,8 @@
 //!
 //! Turns are quarter turns, so no voxel is interpolated. Fibers are cut at every seam; [`SeamReport`] says how badly.
 
-use crate::base::{Error, Result};
+use super::check_going_on;
+use crate::base::{Error, Result, Watch};
 use crate::fabric::{PackedDirection, VoxelTile};
 use crate::math::Random;
 use serde::Serialize;
@@ -42,12 +43,14 @@ pub struct SeamReport {
 /// Makes a tile of `copies` cells along x and y.
 ///
 /// # Errors
-/// The repeat is no length within the patch, copies are none, or the result has more than two billion voxels.
+/// The repeat is no length within the patch, copies are none, the result has more than two billion voxels, or the watch
+/// cancelled.
 pub fn tiled(
     patch: &VoxelTile,
     cells: Patch,
     copies: [usize; 2],
     seed: u64,
+    watch: &dyn Watch,
 ) -> Result<(VoxelTile, SeamReport)> {
     let source = Source::new(patch, cells)?;
     let ends: [Vec<usize>; 2] = [0, 1].map(|k| {
@@ -74,6 +77,8 @@ pub fn tiled(
     let mut density = Vec::with_capacity(nx * ny * nz);
     let mut direction = Vec::with_capacity(nx * ny * nz);
     for z in 0..nz {
+        check_going_on(watch)?;
+        watch.progress("tiling", z as u64, nz as u64);
         for y in 0..ny {
             let row = cell_of(1, y);
             for (column, x) in &columns {
@@ -259,6 +264,7 @@ fn seams(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::Unwatched;
     use glam::DVec3;
 
     /// Fibers along x in every second row; density tells the repeat it is from.
@@ -277,7 +283,7 @@ mod tests {
     #[test]
     fn cells_are_whole_repeats_of_the_patch() {
         let cells = Patch::Repeats([0.02, 0.02]);
-        let (tile, report) = tiled(&patch(), cells, [5, 6], 3).unwrap();
+        let (tile, report) = tiled(&patch(), cells, [5, 6], 3, &Unwatched).unwrap();
         assert_eq!(tile.shape(), [20, 24, 2]);
         assert_eq!(report.choices, 6);
         let mut seen = std::collections::BTreeSet::new();
@@ -297,13 +303,16 @@ mod tests {
         assert!(report.degrees_at_seams < 0.01 && report.degrees_within < 0.01);
         assert!(report.density_at_seams > 0.0 && report.ends_at_seams > 0.0);
         assert_eq!(
-            tiled(&patch(), cells, [5, 6], 3).unwrap(),
+            tiled(&patch(), cells, [5, 6], 3, &Unwatched).unwrap(),
             (tile.clone(), report)
         );
-        assert_ne!(tiled(&patch(), cells, [5, 6], 4).unwrap().0, tile);
+        assert_ne!(
+            tiled(&patch(), cells, [5, 6], 4, &Unwatched).unwrap().0,
+            tile
+        );
         // With one repeat there is nothing to choose, and no seam worse than the patch's own.
         let whole = Patch::Repeats([0.06, 0.04]);
-        let (tile, report) = tiled(&patch(), whole, [2, 1], 3).unwrap();
+        let (tile, report) = tiled(&patch(), whole, [2, 1], 3, &Unwatched).unwrap();
         assert_eq!((tile.shape(), report.choices), ([24, 8, 2], 1));
         assert_eq!(tile.density()[..12], tile.density()[12..24]);
     }
@@ -311,7 +320,7 @@ mod tests {
     #[test]
     fn turns_take_directions_along() {
         // Rows of the central square along x become columns along y when turned by 90 degrees.
-        let (tile, report) = tiled(&patch(), Patch::Turns, [6, 4], 1).unwrap();
+        let (tile, report) = tiled(&patch(), Patch::Turns, [6, 4], 1, &Unwatched).unwrap();
         assert_eq!((tile.shape(), report.choices), ([48, 32, 2], 4));
         let mut upright = 0;
         for (cx, cy) in (0..6).flat_map(|x| (0..4).map(move |y| (x, y))) {
@@ -332,7 +341,11 @@ mod tests {
 
     #[test]
     fn what_cannot_be_tiled_is_said() {
-        let fails = |cells, copies| tiled(&patch(), cells, copies, 1).unwrap_err().report();
+        let fails = |cells, copies| {
+            tiled(&patch(), cells, copies, 1, &Unwatched)
+                .unwrap_err()
+                .report()
+        };
         assert!(fails(Patch::Repeats([0.1, 0.02]), [1, 1]).contains("at most the patch"));
         assert!(fails(Patch::Repeats([0.001, 0.02]), [1, 1]).contains("two voxels"));
         assert!(fails(Patch::Turns, [0, 1]).contains("at least one copy"));

@@ -1,6 +1,8 @@
 //! Where fibers cross the slices of a volume: minima of the scale-normalized Laplacian of Gaussians.
 
+use crate::base::{Result, Watch};
 use crate::fabric::VoxelTile;
+use crate::fabric::ct::check_going_on;
 use crate::fabric::ct::gaussian::{Field, kernel};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -9,6 +11,8 @@ use rayon::prelude::*;
 const SCALES: [f64; 3] = [0.6, 0.8, 1.0];
 /// Voxels whose direction is nearer than this cosine to the slices' axis are looked at.
 const ALONG: f64 = 0.5;
+/// Slices worked on between two reports of progress.
+const AT_ONCE: usize = 32;
 /// Half the length over which density is averaged along fibers, radii.
 const AVERAGED: f64 = 1.5;
 
@@ -83,9 +87,17 @@ pub(super) struct Finder<'a> {
 
 impl Finder<'_> {
     /// Centers of every slice.
-    pub(super) fn all(&self) -> Vec<Vec<Center>> {
-        let slices = 0..self.tile.shape()[self.axis];
-        slices.into_par_iter().map(|k| self.slice(k)).collect()
+    pub(super) fn all(&self, watch: &dyn Watch) -> Result<Vec<Vec<Center>>> {
+        let n = self.tile.shape()[self.axis];
+        let stage = ["x", "y", "z"].map(|a| format!("fibers along {a}"));
+        let mut found = Vec::with_capacity(n);
+        while found.len() < n {
+            check_going_on(watch)?;
+            let some = found.len()..(found.len() + AT_ONCE).min(n);
+            found.par_extend(some.into_par_iter().map(|k| self.slice(k)));
+            watch.progress(&stage[self.axis], found.len() as u64, n as u64);
+        }
+        Ok(found)
     }
 
     /// The axes across a slice.

@@ -14,7 +14,6 @@ mod track;
 pub use radius::FoundRadius;
 pub use score::{FiberScore, compare};
 
-use super::check_going_on;
 use crate::base::{Error, Result, Watch};
 use crate::fabric::{Curve, FiberTile, PackedDirection, VoxelTile, from_curves};
 use centers::{Finder, averaged, main_axis};
@@ -110,7 +109,7 @@ pub fn trace(
     if given.is_none() {
         // Once more with the radius found with a guess.
         if let Some(found) = radius::best_radius(tile, segments(&lines, None), |_| true) {
-            expected = found.radius / tile.side();
+            expected = (found.radius / tile.side()).clamp(*RADII.start(), *RADII.end());
             (lines, counts) = self::lines(tile, options, expected, watch)?;
         }
     }
@@ -259,7 +258,6 @@ fn lines(
         joints: 0,
     };
     for axis in 0..3 {
-        check_going_on(watch)?;
         let finder = Finder {
             tile,
             density: &density,
@@ -267,10 +265,9 @@ fn lines(
             radius,
             least: options.least_response * sum / n,
         };
-        let slices = finder.all();
+        let slices = finder.all(watch)?;
         counts.centers[axis] = slices.iter().map(Vec::len).sum();
         all.extend(track(&slices, axis, options.gate * radius));
-        watch.progress("following fibers", axis as u64 + 1, 3);
     }
     if options.join {
         all.retain(|l| l.points.len() >= LEAST_TO_JOIN);

@@ -1,4 +1,4 @@
-//! The one radius that makes cylinders around lines cover the fiber voxels best (Khungurn 2015 eq. 26).
+//! The one radius that makes cylinders around lines cover the fiber voxels best (Khungurn 2015 eq. 26), and a bound on it.
 
 use super::near::Near;
 use crate::fabric::VoxelTile;
@@ -11,14 +11,20 @@ const CANDIDATES: usize = 20;
 /// Voxels are divided by this along each axis; one of the parts is looked at in each voxel.
 const PARTS: u64 = 4;
 
-/// A radius found by covering.
+/// A radius found from lines and voxels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FoundRadius {
-    /// The best candidate, millimeters.
+    /// The lesser of the next two, millimeters.
     pub radius: f64,
-    /// The best candidates when the least density is moved by two fifths up and, as far as the voxels tell, down.
+    /// The best candidate by covering (Khungurn 2015 eq. 26). Too large where fibers are packed, as those that were missed
+    /// are covered by others.
+    pub by_covering: f64,
+    /// Of cylinders along all lines that hold what the voxels hold, a voxel counting by its density. Too large where fibers
+    /// were missed.
+    pub by_volume: f64,
+    /// From the radius by volume if a third of the fibers was missed, to the larger of the two.
     pub range: [f64; 2],
-    /// Share of fiber voxels that cylinders of this radius cover, and of the cylinders' voxels that hold fiber.
+    /// Share of fiber voxels that cylinders of the covering radius cover, and of the cylinders' voxels that hold fiber.
     pub covered: [f64; 2],
 }
 
@@ -34,15 +40,8 @@ pub(super) fn best_radius(
     if segments.is_empty() {
         return None;
     }
+    let length: f64 = segments.iter().map(|[a, b]| a.distance(*b)).sum();
     let near = Near::new(segments, 4.0);
-    let mut solid: Vec<f32> = tile
-        .density()
-        .iter()
-        .copied()
-        .filter(|d| *d > 0.0)
-        .collect();
-    solid.sort_unstable_by(f32::total_cmp);
-    let least = *solid.first()?;
     let [nx, ny, nz] = tile.shape();
     let layers: Vec<Vec<(f32, f32)>> = (0..nz)
         .into_par_iter()
@@ -63,39 +62,47 @@ pub(super) fn best_radius(
             list
         })
         .collect();
-    let best = |eps: f32| {
-        let scored = (0..CANDIDATES).map(|k| {
-            let radius = 1.0 + 3.0 * k as f32 / 19.0;
-            let (mut both, mut c, mut v) = (0_u64, 0_u64, 0_u64);
-            for (distance, density) in layers.iter().flatten() {
-                let (inside, fiber) = (*distance <= radius, *density > 0.0 && *density >= eps);
-                both += u64::from(inside && fiber);
-                c += u64::from(inside);
-                v += u64::from(fiber);
-            }
-            let score = 3.0 * both as f64 - c as f64 - v as f64;
-            (
-                score,
-                radius,
-                [both as f64 / v.max(1) as f64, both as f64 / c.max(1) as f64],
-            )
+    let v = layers.iter().flatten().filter(|p| p.1 > 0.0).count() as f64;
+    if v <= 0.0 || length <= 0.0 {
+        return None;
+    }
+    let scored = (0..CANDIDATES).map(|k| {
+        let radius = 1.0 + 3.0 * k as f32 / 19.0;
+        let inside = layers.iter().flatten().filter(|p| p.0 <= radius);
+        let (c, both) = inside.fold((0.0, 0.0), |(c, both), p| {
+            (c + 1.0, both + f64::from(u8::from(p.1 > 0.0)))
         });
-        scored.fold((f64::NEG_INFINITY, 1.0, [0.0; 2]), |b, s| {
-            if s.0 > b.0 { s } else { b }
-        })
-    };
-    let millimeters = |r: f32| f64::from(r) * tile.side();
-    let (_, radius, covered) = best(0.0);
-    // Below the least density kept nothing is known: the mirror image of going up stands for going down.
-    let up = best(1.4 * least).1;
+        let covered = [both / f64::max(v, 1.0), both / f64::max(c, 1.0)];
+        (3.0 * both - c - v, f64::from(radius), covered)
+    });
+    let first = (f64::NEG_INFINITY, 1.0, [0.0; 2]);
+    let (_, covering, covered) = scored.fold(first, |b, s| if s.0 > b.0 { s } else { b });
+    let by_covering = covering * tile.side();
+    let volume =
+        layers.iter().flatten().map(|p| f64::from(p.1)).sum::<f64>() / solid_density(&layers);
+    let by_volume = (volume / (std::f64::consts::PI * length)).sqrt() * tile.side();
     Some(FoundRadius {
-        radius: millimeters(radius),
+        radius: by_covering.min(by_volume),
+        by_covering,
+        by_volume,
         range: [
-            millimeters(up.min(radius)),
-            millimeters(2.0 * radius - up.min(radius)),
+            by_volume * (2.0_f64 / 3.0).sqrt(),
+            by_covering.max(by_volume),
         ],
         covered,
     })
+}
+
+/// Density inside fibers: what a tenth of the fiber voxels exceed.
+fn solid_density(layers: &[Vec<(f32, f32)>]) -> f64 {
+    let mut list: Vec<f32> = layers
+        .iter()
+        .flatten()
+        .map(|p| p.1)
+        .filter(|d| *d > 0.0)
+        .collect();
+    list.sort_unstable_by(f32::total_cmp);
+    list.get(9 * list.len() / 10).map_or(1.0, |d| f64::from(*d))
 }
 
 /// The middle of one of a voxel's 64 parts, spread evenly by the place.
