@@ -227,7 +227,7 @@ fn exchanged_yarns_are_recognized_where_the_poses_cannot_tell_them_apart() {
     // Without a twist the mirror image in the plane of the poses is the exchange.
     let truth = nineteen([0.0, 30.0, 0.0, 0.02, 4.0], [0.0, 60.0, 0.0, 0.3, 1.0]);
     let parameters = Parameters::defaults(&model).with_values(truth);
-    let data = measured(&model, &parameters, &poses, 0.0, &mut stream(500));
+    let data = measured(&model, &parameters, &poses, 0.01, &mut stream(500));
     let zero = |name: &str| (name.to_owned(), 0.0);
     let options = SurfaceOptions {
         held: vec![zero("warp_twist"), zero("weft_twist")],
@@ -249,7 +249,7 @@ fn exchanged_yarns_are_recognized_where_the_poses_cannot_tell_them_apart() {
         held: options.held.clone(),
         ..SurfaceOptions::default()
     };
-    let other = measured(&model, &parameters, &self::poses(), 0.0, &mut stream(501));
+    let other = measured(&model, &parameters, &self::poses(), 0.01, &mut stream(501));
     let result = fit_surface(&model, &other, &held).unwrap();
     assert!(result.rivals.iter().all(|r| !r.swapped));
 }

@@ -160,3 +160,31 @@ fn wrong_input_is_refused_with_a_hint() {
         );
     }
 }
+
+#[test]
+fn a_draft_of_a_weaving_program_makes_the_same_fibers_as_the_weave_by_name() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/fabrics/gabardine.toml");
+    let named = std::fs::read_to_string(file).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let describe = |draft: &str, expected: i32| {
+        std::fs::write(folder.path().join("d.wif"), draft).unwrap();
+        let own = folder.path().join("own.toml");
+        let text = named.replace("pattern = \"2/1 twill\"", "wif = \"d.wif\"");
+        assert_ne!(text, named);
+        std::fs::write(&own, text).unwrap();
+        let out = goniofit(&["fabric", "describe", own.to_str().unwrap(), "--json"]);
+        assert_eq!(out.status.code(), Some(expected), "{}", text_of(&out));
+        out
+    };
+    fn text_of(out: &std::process::Output) -> String {
+        text(&out.stdout) + &text(&out.stderr)
+    }
+    let twill = "[WEAVING]\nRising Shed=true\n[THREADING]\n1=1\n2=2\n3=3\n[TIEUP]\n1=1,2\n2=2,3\n3=1,3\n[TREADLING]\n1=1\n2=2\n3=3\n";
+    let by_name = goniofit(&["fabric", "describe", file, "--json"]);
+    assert_eq!(text(&describe(twill, 0).stdout), text(&by_name.stdout));
+    // Control: another draft makes other fibers.
+    let other = twill.replace("2=2,3\n3=1,3", "2=1,3\n3=2,3");
+    assert_ne!(text(&describe(&other, 0).stdout), text(&by_name.stdout));
+    let broken = describe("[WARP]\nThreads=3\n", 2);
+    assert!(text(&broken.stderr).contains("section [THREADING] is missing"));
+}

@@ -49,7 +49,7 @@ struct ListArguments {
 pub(crate) fn run(arguments: Arguments) -> Result<Outcome> {
     match arguments.command {
         Command::List(a) => list(&a)?,
-        Command::Picture(a) => picture::run(&a)?,
+        Command::Picture(a) => return picture::run(&a),
         Command::Fit(a) => return fit::run(&a),
     }
     Ok(Outcome::Done)

@@ -4,7 +4,8 @@ use super::cloth::Cloth;
 use crate::base::{Error, Result};
 use crate::cli::Outcome;
 use crate::cli::output::data;
-use crate::fit::surface::{SurfaceOptions, SurfaceResult, fit_surface, surface_ladder};
+use crate::cli::terminal::Terminal;
+use crate::fit::surface::{SurfaceOptions, SurfaceResult, surface_ladder};
 use crate::scatter::surface::{directional_albedo, model, models};
 use crate::scatter::{CHANNELS, Parameters, Unit};
 use crate::session::Measurements;
@@ -72,16 +73,16 @@ pub(super) fn run(a: &Arguments) -> Result<Outcome> {
         held: a.hold.iter().map(|h| held(h)).collect::<Result<_>>()?,
         ..SurfaceOptions::default()
     };
-    let (results, best) = match &a.model {
-        Some(name) => {
-            let model = model(name, &layout)?;
-            (
-                vec![fit_surface(model.as_ref(), &measurements, &options)?],
-                0,
-            )
-        }
-        None => surface_ladder(&models(&layout), &measurements, &options)?,
+    let models = match &a.model {
+        Some(name) => vec![model(name, &layout)?],
+        None => models(&layout),
     };
+    // Measured: half a millisecond per number and model on two cores.
+    let expected_s = 5e-4 * (measurements.n_numbers() * models.len()) as f64;
+    let terminal = Terminal::new()?;
+    let (results, best) = terminal.with_progress("fitting", expected_s, || {
+        surface_ladder(&models, &measurements, &options)
+    })?;
     let albedos: Vec<[f64; CHANNELS]> = results
         .iter()
         .map(|r| {

@@ -1,8 +1,9 @@
 //! `goniofit woven picture`.
 
 use super::cloth::Cloth;
-use crate::base::{Context, Result};
-use crate::cli::inputs;
+use crate::base::{Context, Result, Watch};
+use crate::cli::terminal::Terminal;
+use crate::cli::{Outcome, inputs};
 use crate::math::PolarDirection;
 use crate::report::preview;
 use crate::scatter::surface::woven::{Noise, Texture, YarnLook};
@@ -36,13 +37,13 @@ pub(super) struct Arguments {
     #[arg(long, default_value_t = 480, value_parser = clap::value_parser!(u32).range(16..=4096))]
     width: u32,
     /// Diffuse color: r,g,b, 0 to 1
-    #[arg(long, value_name = "R,G,B", value_parser = color, default_value = "0.1,0.1,0.12")]
+    #[arg(long, value_name = "R,G,B", value_parser = color, default_value = "0.06,0.06,0.08")]
     diffuse: [f64; 3],
-    /// Specular color of the warp: r,g,b
-    #[arg(long, value_name = "R,G,B", value_parser = color, default_value = "1,0.9,0.7")]
+    /// Specular coefficient of the warp: r,g,b; 10 returns about a tenth of the light
+    #[arg(long, value_name = "R,G,B", value_parser = color, default_value = "20,18,14")]
     warp: [f64; 3],
-    /// Specular color of the weft: r,g,b
-    #[arg(long, value_name = "R,G,B", value_parser = color, default_value = "0.5,0.6,0.9")]
+    /// Specular coefficient of the weft: r,g,b
+    #[arg(long, value_name = "R,G,B", value_parser = color, default_value = "10,12,18")]
     weft: [f64; 3],
     /// Width of highlights as a share of a segment
     #[arg(long, default_value_t = 0.5)]
@@ -79,14 +80,14 @@ fn direction(text: &str) -> Result<PolarDirection, String> {
 
 fn color(text: &str) -> Result<[f64; 3], String> {
     match numbers(text) {
-        Some(c) if c.iter().all(|v: &f64| (0.0..=100.0).contains(v)) => Ok(c),
+        Some(c) if c.iter().all(|v: &f64| (0.0..=1000.0).contains(v)) => Ok(c),
         _ => Err(format!(
-            "'{text}': expected three numbers of 0 to 100, such as 0.4,0.1,0.1"
+            "'{text}': expected three numbers of 0 to 1000, such as 0.4,0.1,0.1"
         )),
     }
 }
 
-pub(super) fn run(a: &Arguments) -> Result<()> {
+pub(super) fn run(a: &Arguments) -> Result<Outcome> {
     let files: Vec<PathBuf> = a.repeats.iter().map(|&n| file(a, n)).collect();
     for f in &files {
         inputs::refuse_overwriting(f, a.force)?;
@@ -101,16 +102,20 @@ pub(super) fn run(a: &Arguments) -> Result<()> {
     let repeat = a.cloth.repeat()?;
     let size = repeat.size;
     let texture = Texture::new(repeat, a.diffuse, looks, a.highlight, noise)?;
+    let terminal = Terminal::new()?;
     let mut exposure = None;
     for (&repeats, file) in a.repeats.iter().zip(&files) {
-        let picture = render(a, &texture, size, repeats);
+        let Some(picture) = render(a, &texture, size, repeats, &terminal) else {
+            return Ok(Outcome::Interrupted);
+        };
+        terminal.finish_stage();
         let factor = *exposure.get_or_insert_with(|| preview::exposure(&picture));
         let shown: Vec<[f64; 3]> = picture.iter().map(|p| p.map(|v| v * factor)).collect();
         let height = shown.len() as u32 / a.width;
         let bytes = preview::png(a.width, height, &shown)?;
         std::fs::write(file, bytes).context(|| format!("{} cannot be written", file.display()))?;
     }
-    Ok(())
+    Ok(Outcome::Done)
 }
 
 /// The file of a magnification.
@@ -127,8 +132,15 @@ fn file(a: &Arguments, repeats: u32) -> PathBuf {
     folder.join(format!("{stem}_{repeats}.{end}"))
 }
 
-/// Mean radiance of square pixels under light of irradiance 1 at normal incidence, y up; as high as it is wide.
-fn render(a: &Arguments, texture: &Texture, size: [f64; 2], repeats: u32) -> Vec<[f64; 3]> {
+/// Mean radiance of square pixels under light of irradiance 1 at normal incidence, y up; as high as it is wide. None when
+/// interrupted.
+fn render(
+    a: &Arguments,
+    texture: &Texture,
+    size: [f64; 2],
+    repeats: u32,
+    watch: &dyn Watch,
+) -> Option<Vec<[f64; 3]>> {
     let (wi, wr) = (a.light.vector(), a.camera.vector());
     let pixel = f64::from(repeats) * size[0] / f64::from(a.width);
     // Enough points for a hundredth of a repeat.
@@ -136,19 +148,25 @@ fn render(a: &Arguments, texture: &Texture, size: [f64; 2], repeats: u32) -> Vec
         .ceil()
         .clamp(3.0, 32.0) as u32;
     let step = pixel / f64::from(points);
-    let side = a.width as usize;
-    (0..side * side)
-        .into_par_iter()
-        .map(|k| {
-            let (column, row) = (k % side, side - 1 - k / side);
-            let mut mean = [0.0; 3];
-            for i in 0..points * points {
-                let x = column as f64 * pixel + (f64::from(i % points) + 0.5) * step;
-                let y = row as f64 * pixel + (f64::from(i / points) + 0.5) * step;
-                let value = texture.value(wi, wr, (x, y));
-                (0..3).for_each(|c| mean[c] += value[c] * wi.z / f64::from(points * points));
-            }
-            mean
-        })
-        .collect()
+    let mean = |column: u32, row: u32| {
+        let mut mean = [0.0; 3];
+        for i in 0..points * points {
+            let x = f64::from(column) * pixel + (f64::from(i % points) + 0.5) * step;
+            let y = f64::from(row) * pixel + (f64::from(i / points) + 0.5) * step;
+            let value = texture.value(wi, wr, (x, y));
+            (0..3).for_each(|c| mean[c] += value[c] * wi.z / f64::from(points * points));
+        }
+        mean
+    };
+    let mut picture = Vec::new();
+    for row in (0..a.width).rev() {
+        let line: Vec<[f64; 3]> = (0..a.width).into_par_iter().map(|c| mean(c, row)).collect();
+        picture.extend(line);
+        if watch.cancelled() {
+            return None;
+        }
+        let done = u64::from(a.width - row);
+        watch.progress(&format!("{repeats} repeats"), done, u64::from(a.width));
+    }
+    Some(picture)
 }

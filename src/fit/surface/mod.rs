@@ -5,6 +5,7 @@
 //! fits of fibers (Khungurn 2015 eq. 20). Errors of the measurement are not used: what a model misses is larger by far, and intervals
 //! take the spread of the residuals for the error.
 
+mod looks;
 mod problem;
 mod search;
 

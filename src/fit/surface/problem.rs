@@ -174,6 +174,30 @@ impl<'a> Problem<'a> {
         objective
     }
 
+    /// Weighted means over the channels that were measured.
+    pub(super) fn gray(&self) -> Vec<f64> {
+        let mean = |s: &Sample| {
+            let seen = s.root_weight.iter().filter(|w| **w > 0.0).count().max(1);
+            (0..CHANNELS)
+                .map(|c| s.root_weight[c] * s.mean[c])
+                .sum::<f64>()
+                / seen as f64
+        };
+        self.samples.iter().map(mean).collect()
+    }
+
+    /// What the colors of three rows are multiplied by in every configuration, weighted alike; none where the model has no meaning.
+    pub(super) fn parts(&self, x: &[f64], rows: [usize; 3]) -> Option<[Vec<f64>; 3]> {
+        let surface = self.model.prepare(&self.parameters(x)).ok()?;
+        let weighted = |s: &Sample| {
+            let root = s.root_weight.into_iter().fold(0.0, f64::max);
+            let colors = surface.colors(s.wi, s.wr);
+            rows.map(|r| root * s.factor * colors[r])
+        };
+        let all: Vec<[f64; 3]> = self.samples.iter().map(weighted).collect();
+        Some(std::array::from_fn(|k| all.iter().map(|v| v[k]).collect()))
+    }
+
     /// Residuals and derivatives at `x`; none where the model has no meaning.
     pub(super) fn linearize(&self, x: &[f64]) -> Option<Linearized> {
         let surface = self.model.prepare(&self.parameters(x)).ok()?;

@@ -1,11 +1,11 @@
 //! The search for the parameters of a reflectance model, and what is known of them at its end.
 
+use super::looks::starts;
 use super::problem::{Linearized, Problem};
 use crate::base::Result;
 use crate::fit::linear::{box_quadratic, inverse};
-use crate::math::Random;
+use crate::scatter::Parameters;
 use crate::scatter::surface::SurfaceModel;
-use crate::scatter::{Parameters, Unit};
 use crate::session::Measurements;
 use rayon::prelude::*;
 
@@ -14,7 +14,8 @@ use rayon::prelude::*;
 pub struct SurfaceOptions {
     /// The same seed gives the same starts.
     pub seed: u64,
-    /// Random shapes that are looked at, colors by least squares.
+    /// Random shapes that are looked at, colors by least squares; where warp and weft have shapes of their own, every warp with every
+    /// weft of half as many.
     pub looks: usize,
     /// The best of them are followed to their optimum.
     pub starts: usize,
@@ -107,67 +108,9 @@ pub fn fit_surface(
 
 /// A parameter vector with its sum of squares.
 #[derive(Debug, Clone)]
-struct End {
-    x: Vec<f64>,
-    objective: f64,
-}
-
-/// The defaults and the best of random shapes.
-fn starts(problem: &Problem<'_>, options: &SurfaceOptions) -> Vec<Vec<f64>> {
-    let inside = |x: &mut Vec<f64>| {
-        for k in 0..x.len() {
-            x[k] = x[k].clamp(problem.lower[k], problem.upper[k]);
-        }
-    };
-    let mut first = Parameters::defaults(problem.model).values().to_vec();
-    inside(&mut first);
-    problem.choose_colors(&mut first);
-    let mut list = vec![first.clone()];
-    if problem.shape.is_empty() {
-        return list;
-    }
-    for simpler in &options.begin {
-        let mut x = carried(problem, simpler);
-        inside(&mut x);
-        list.extend(copies(problem, &x));
-        list.push(x);
-    }
-    let mut looks: Vec<End> = (0..options.looks)
-        .into_par_iter()
-        .map(|k| {
-            let mut random = Random::keyed(&[options.seed, k as u64]);
-            let mut x = first.clone();
-            for &p in &problem.shape {
-                let range = problem.upper[p] - problem.lower[p];
-                let share = random.uniform();
-                // Widths and curvatures: more near the small ones.
-                let angle = problem.model.parameters()[problem.places[p].0].unit == Unit::Angle;
-                let share = if angle { share } else { share * share };
-                x[p] = problem.lower[p] + range * share;
-            }
-            let objective = problem.choose_colors(&mut x);
-            End { x, objective }
-        })
-        .filter(|e| e.objective.is_finite())
-        .collect();
-    looks.sort_by(|a, b| a.objective.total_cmp(&b.objective));
-    let best = looks.into_iter().take(options.starts.max(1) - 1);
-    list.extend(best.map(|e| e.x));
-    list
-}
-
-/// The parameters of a simpler model in this one; defaults where it has none.
-fn carried(problem: &Problem<'_>, simpler: &Parameters) -> Vec<f64> {
-    let names = simpler.flat_names();
-    let defaults = Parameters::defaults(problem.model);
-    let value = |(name, default): (String, &f64)| {
-        let own = name.strip_prefix("warp_").or(name.strip_prefix("weft_"));
-        let same = |n: &String| *n == name || own == Some(n.as_str());
-        let place = names.iter().position(same);
-        place.map_or(*default, |p| simpler.values()[p])
-    };
-    let pairs = defaults.flat_names().into_iter().zip(defaults.values());
-    pairs.map(value).collect()
+pub(super) struct End {
+    pub(super) x: Vec<f64>,
+    pub(super) objective: f64,
 }
 
 /// Levenberg and Marquardt within the bounds.
@@ -241,7 +184,7 @@ fn swapped(problem: &Problem<'_>, x: &[f64]) -> Vec<f64> {
 }
 
 /// The parameters with twists turned round, with warp and weft exchanged, and both; those that the bounds allow.
-fn copies(problem: &Problem<'_>, x: &[f64]) -> Vec<Vec<f64>> {
+pub(super) fn copies(problem: &Problem<'_>, x: &[f64]) -> Vec<Vec<f64>> {
     let infos = problem.model.parameters();
     let mirrored = |x: &[f64]| -> Vec<f64> {
         (0..x.len())
@@ -277,7 +220,8 @@ fn summarize(problem: &Problem<'_>, ends: &[End]) -> SurfaceResult {
     let residual = problem.rms(best.objective);
     let free = problem.n_free();
     let near = |share: f64| {
-        let limit = residual * (1.0 + share);
+        // Residuals below a millionth are as good as none.
+        let limit = residual * (1.0 + share) + 1e-6;
         ends.iter()
             .filter(move |e| problem.rms(e.objective) <= limit)
     };
