@@ -19,6 +19,7 @@ mod calibrate_color;
 mod calibrate_geometry;
 mod capture;
 mod chart;
+mod compare;
 mod crops;
 mod ct;
 mod demo;
@@ -86,6 +87,7 @@ enum Command {
     Ct(ct::Arguments),
     Predict(predict::Arguments),
     Validate(validate::Arguments),
+    Compare(compare::Arguments),
     Chart(chart::Arguments),
     Report(report::Arguments),
 }
@@ -126,6 +128,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Ct(a) => ct::run(a),
         Command::Predict(a) => predict::run(a),
         Command::Validate(a) => validate::run(a),
+        Command::Compare(a) => compare::run(a),
         Command::Chart(a) => chart::run(a),
         Command::Report(a) => report::run(a),
     }
