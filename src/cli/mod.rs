@@ -19,6 +19,7 @@ mod calibrate_color;
 mod calibrate_geometry;
 mod capture;
 mod chart;
+mod compare;
 mod crops;
 mod ct;
 mod demo;
@@ -88,6 +89,7 @@ enum Command {
     Woven(woven::Arguments),
     Predict(predict::Arguments),
     Validate(validate::Arguments),
+    Compare(compare::Arguments),
     Chart(chart::Arguments),
     Report(report::Arguments),
 }
@@ -129,6 +131,7 @@ fn run(command: Command) -> Result<Outcome> {
         Command::Woven(a) => woven::run(a),
         Command::Predict(a) => predict::run(a),
         Command::Validate(a) => validate::run(a),
+        Command::Compare(a) => compare::run(a),
         Command::Chart(a) => chart::run(a),
         Command::Report(a) => report::run(a),
     }

@@ -12,6 +12,7 @@ use crate::render::{
     Request, Scene, VolumeScene,
 };
 use crate::rig::{LightSource, RigDescription};
+use crate::scatter::media::MediumModel;
 use crate::scatter::{AnyModel, Parameters};
 use crate::session::{SessionFolder, files};
 use crate::{fabric, scatter::Model};
@@ -116,11 +117,19 @@ pub(crate) fn scene(
         ))
         .with_hint("for fibers: --model khungurn; for voxels: a description with kind = \"voxels\" (docs/fabric.md)"));
     }
+    Ok(Box::new(volume_scene(fabric, model, options)?))
+}
+
+/// Reads a fabric of voxels and makes it a scene for `model`.
+pub(crate) fn volume_scene(
+    fabric: &Path,
+    model: &'static dyn MediumModel,
+    options: FiberSceneOptions,
+) -> Result<VolumeScene> {
     let fabric = fabric::load_voxels(fabric)?;
     let density = fabric.density_per_mm.unwrap_or(DEFAULT_DENSITY);
-    let scene = VolumeScene::new(fabric.tile, density, model, options)
-        .context(|| format!("fabric '{}' cannot be rendered", fabric.name))?;
-    Ok(Box::new(scene))
+    VolumeScene::new(fabric.tile, density, model, options)
+        .context(|| format!("fabric '{}' cannot be rendered", fabric.name))
 }
 
 /// What a rig puts around the cloth.

@@ -25,6 +25,7 @@ mod rescaling;
 mod result;
 mod robust;
 mod search;
+mod side_by_side;
 mod space;
 mod suggest;
 mod summary;
@@ -48,6 +49,7 @@ pub use result::{
     Iteration, ObjectiveResult, ParameterResult, Pattern, Truth, Verdict, refuse_existing,
 };
 pub use robust::Loss;
+pub use side_by_side::{FittedModel, FittedParameter, PoseResidual, Residuals, SideBySide};
 pub use suggest::{
     Aim, Knowledge, MeasuredPose, SuggestOptions, SuggestedShot, Suggestion, suggest,
 };

@@ -279,7 +279,7 @@ pub fn refuse_existing(path: &Path) -> Result<()> {
 
 /// The number a flat name (`c_r.g`, `beta_tt`, `weft.c_r.g`) has in a parameter file's object; one without yarn systems
 /// serves all of them.
-fn flat_value(parameters: &Value, name: &str) -> Option<f64> {
+pub(super) fn flat_value(parameters: &Value, name: &str) -> Option<f64> {
     if let Some((system, own)) = name.split_once('.')
         && YARN_SYSTEMS.contains(&system)
     {

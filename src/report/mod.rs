@@ -4,6 +4,7 @@
 //! nothing is loaded from elsewhere.
 
 mod charts;
+mod comparison;
 pub mod contact_sheet;
 mod convergence;
 pub mod cut;
@@ -19,6 +20,7 @@ mod residual_map;
 mod svg;
 pub mod swatch;
 
+pub use comparison::{ComparisonNotes, PosePictures, comparison_page};
 pub use convergence::{Course, CoursePoint, convergence_chart};
 pub use page::{Picture, Provenance, Section, Table, page};
 pub use prediction::prediction_chart;

@@ -14,7 +14,7 @@ use super::estimate::{self, Clock};
 use super::guide::StateMap;
 use super::scene::{FiberSceneOptions, Integrator};
 use super::summation::Rows;
-use super::{Estimates, Request, Scene};
+use super::{Estimates, Picture, PictureRequest, Region, Request, Scene, image};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::VoxelTile;
 use crate::scatter::Parametric;
@@ -33,6 +33,7 @@ pub struct VolumeScene {
     /// The tile itself, for the reference.
     tile: Option<VoxelTile>,
     map: StateMap,
+    tile_size: [f64; 2],
     model: &'static dyn MediumModel,
     /// Density n of a voxel of value 1, 1/mm.
     density: f64,
@@ -72,12 +73,36 @@ impl VolumeScene {
         let keep = options.integrator == Integrator::Basic;
         Ok(Self {
             grid,
+            tile_size: tile.size(),
             tile: keep.then_some(tile),
             map,
             model,
             density,
             options,
         })
+    }
+
+    /// The tile that is repeated, from the origin on.
+    pub fn tile(&self) -> Region {
+        Region {
+            center: self.tile_size.map(|s| 0.5 * s),
+            size: self.tile_size,
+        }
+    }
+
+    /// Renders a picture of each configuration, as [`super::FiberScene::pictures`] does of fibers.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn pictures(
+        &self,
+        request: &PictureRequest<'_>,
+        watch: &dyn Watch,
+    ) -> Result<Vec<Picture>> {
+        request.check()?;
+        (self.options).check_poses(self.grid.z_range(), request.configurations)?;
+        let paths = VolumePaths::new(self, self.model.prepare(request.parameters)?);
+        image::pictures(&paths, Rows::of(self.model), request, watch)
     }
 }
 
