@@ -9,7 +9,7 @@ use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
 use crate::render::{
     DEFAULT_DENSITY, Effort, Estimates, FiberScene, FiberSceneOptions, Integrator, LightShape,
-    Request, Scene, VolumeScene,
+    Pictured, Request, VolumeScene,
 };
 use crate::rig::{LightSource, RigDescription};
 use crate::scatter::{AnyModel, Parameters};
@@ -103,7 +103,7 @@ pub(crate) fn scene(
     fabric: &Path,
     model: AnyModel,
     options: FiberSceneOptions,
-) -> Result<Box<dyn Scene>> {
+) -> Result<Box<dyn Pictured>> {
     let model = match model {
         AnyModel::Fibers(model) => return Ok(Box::new(fiber_scene(fabric, model, options)?)),
         AnyModel::Medium(model) => model,

@@ -5,18 +5,18 @@
 //! is taken out, every pixel stands for the same area of cloth, and the mean of a picture of the sample square is what
 //! [`super::Scene::estimate`] estimates. It does not show the outline that the cloth has for the camera.
 //!
-//! Poses that share their camera direction share paths, as in [`super::estimate`]; pixels never do.
+//! Poses that share their camera direction share paths, as in [`super::estimate`]; pixels never do. What is pictured is
+//! anything through which paths can be followed: fibers, or voxels.
 
 use super::allocation::{Group, groups, worth_of};
+use super::estimate::{CameraRay, Followed, Rules};
 use super::guide::Guide;
-use super::path::Stage;
 use super::picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
-use super::scene::FiberScene;
 use super::summation::{Rows, Summation, Sums};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
 use crate::math::statistics::Running;
-use crate::scatter::{CHANNELS, Scattering};
+use crate::scatter::CHANNELS;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -35,60 +35,35 @@ const AIM: f64 = 0.9;
 /// Names the random streams of pictures.
 const STREAM: u64 = 0x7049_6354;
 
-impl FiberScene {
-    /// The square over which means are taken.
-    pub fn sample_square(&self) -> Region {
-        Region {
-            center: [0.0; 2],
-            size: [self.options.sample_square; 2],
+/// See [`super::Pictured::pictures`]; derivatives have these `rows`.
+pub(super) fn pictures(
+    followed: &impl Followed,
+    rows: Rows,
+    request: &PictureRequest<'_>,
+    watch: &dyn Watch,
+) -> Result<Vec<Picture>> {
+    let groups = groups(followed.options(), request.configurations);
+    let mut pictures = vec![None; request.configurations.len()];
+    for (g, group) in groups.iter().enumerate() {
+        let canvas = Canvas {
+            followed,
+            rows,
+            request,
+            group,
+            parts: [g as u64, groups.len() as u64],
+        };
+        let done = canvas.finished(watch)?;
+        for (&member, picture) in group.members.iter().zip(done) {
+            pictures[member] = Some(picture);
         }
     }
-
-    /// The tile that is repeated, from the origin on.
-    pub fn tile(&self) -> Region {
-        Region {
-            center: self.tile_size.map(|s| 0.5 * s),
-            size: self.tile_size,
-        }
-    }
-
-    /// Renders a picture of each configuration of the request, in its order; unbiased, and the same on any number of
-    /// threads. A configuration's noise depends on which others it shares camera paths with.
-    ///
-    /// # Errors
-    /// When the picture is empty or too large, the parameters have no meaning for the model, the work is too little for a
-    /// standard error, a pixel is not finite, or `watch` cancels.
-    pub fn pictures(
-        &self,
-        request: &PictureRequest<'_>,
-        watch: &dyn Watch,
-    ) -> Result<Vec<Picture>> {
-        request.check()?;
-        self.check_poses(request.configurations)?;
-        let sets = self.model.prepare_each(request.parameters)?;
-        let groups = groups(&self.options, request.configurations);
-        let mut pictures = vec![None; request.configurations.len()];
-        for (g, group) in groups.iter().enumerate() {
-            let canvas = Canvas {
-                scene: self,
-                sets: &sets,
-                request,
-                group,
-                parts: [g as u64, groups.len() as u64],
-            };
-            let done = canvas.finished(watch)?;
-            for (&member, picture) in group.members.iter().zip(done) {
-                pictures[member] = Some(picture);
-            }
-        }
-        Ok(pictures.into_iter().flatten().collect())
-    }
+    Ok(pictures.into_iter().flatten().collect())
 }
 
 /// The pictures that share camera paths.
-struct Canvas<'a> {
-    scene: &'a FiberScene,
-    sets: &'a [Box<dyn Scattering>],
+struct Canvas<'a, F> {
+    followed: &'a F,
+    rows: Rows,
     request: &'a PictureRequest<'a>,
     group: &'a Group,
     /// Which of how many groups it is.
@@ -102,7 +77,7 @@ struct Pass<'a> {
     paths: u64,
     /// By which parameters to differentiate.
     rows: &'a [usize],
-    /// Of the group's members, see [`Stage::worth`].
+    /// Of the group's members, see [`Rules::worth`].
     worth: &'a [f64],
     /// Selects the random streams.
     round: u64,
@@ -112,7 +87,7 @@ struct Pass<'a> {
 /// An estimate and its standard error.
 type Number = [f32; 2];
 
-impl Canvas<'_> {
+impl<F: Followed> Canvas<'_, F> {
     /// Pilots as needed, then the pass whose numbers are returned; its paths and roulette were fixed beforehand.
     fn finished(&self, watch: &dyn Watch) -> Result<Vec<Picture>> {
         let (side, pilot_paths) = PILOT;
@@ -193,11 +168,13 @@ impl Canvas<'_> {
         all.par_chunks_mut(numbers * per_task)
             .enumerate()
             .try_for_each(|(task, chunk)| {
-                let guide = Guide::FRESH;
-                let (lamps, worth) = (&self.group.lamps, pass.worth);
-                let stage = self.scene.stage(self.sets, lamps, worth, &guide);
+                let rules = Rules {
+                    lamps: &self.group.lamps,
+                    worth: pass.worth,
+                    guide: &Guide::FRESH,
+                };
                 for (i, out) in chunk.chunks_mut(numbers).enumerate() {
-                    self.pixel(pass, &stage, task * per_task + i, &strata, out, watch)?;
+                    self.pixel(pass, &rules, task * per_task + i, &strata, out, watch)?;
                 }
                 let n = (chunk.len() / numbers) as u64;
                 let finished = done.fetch_add(n, Ordering::Relaxed) + n;
@@ -229,7 +206,7 @@ impl Canvas<'_> {
     fn pixel(
         &self,
         pass: &Pass<'_>,
-        stage: &Stage<'_>,
+        rules: &Rules<'_>,
         index: usize,
         strata: &[Rectangle],
         out: &mut [Number],
@@ -237,8 +214,9 @@ impl Canvas<'_> {
     ) -> Result<()> {
         let all_rows = match pass.rows {
             [] => Rows::NONE,
-            _ => Rows::of(self.scene.model),
+            _ => self.rows,
         };
+        let view = self.followed.options().view;
         let n_strata = strata.len() as u64;
         let mut random = Random::keyed(&self.key(pass, index));
         let mut path = Summation::new(all_rows, self.group.lamps.len());
@@ -254,10 +232,12 @@ impl Canvas<'_> {
                     return Err(Error::new("interrupted"));
                 }
                 let through = self.point(pass.resolution, index, stratum, &mut random);
-                let view = self.scene.options.view;
-                let toward_camera = view.toward_camera(through, self.group.toward_camera);
+                let ray = CameraRay {
+                    through,
+                    toward_camera: view.toward_camera(through, self.group.toward_camera),
+                };
                 path.lamps.fill(Sums::default());
-                stage.follow(through, toward_camera, &mut random, &mut path);
+                self.followed.follow(rules, ray, &mut random, &mut path);
                 let found = path
                     .lamps
                     .iter()
