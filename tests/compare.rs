@@ -14,8 +14,8 @@ use goniofit::fabric::ct::{Gray, Method, Orienting, Simulating, orient, simulate
 use goniofit::fabric::{Curve, FiberTile, Format, VoxelTile, export, from_curves, load};
 use goniofit::fit::SideBySide;
 use goniofit::render::{
-    DEFAULT_DENSITY, Effort, FiberScene, FiberSceneOptions, PictureEffort, PictureRequest, Region,
-    Request, Scene, VolumeScene,
+    DEFAULT_DENSITY, Effort, FiberScene, FiberSceneOptions, PictureEffort, PictureRequest,
+    Pictured, Region, Request, Scene, VolumeScene,
 };
 use goniofit::scatter::{Parameters, media};
 use goniofit::session::{Configuration, protocols};

@@ -5,8 +5,8 @@ use goniofit::base::{Unwatched, Watch};
 use goniofit::fabric;
 use goniofit::math::statistics::sidak_level;
 use goniofit::render::{
-    Effort, FiberScene, FiberSceneOptions, Layer, Picture, PictureEffort, PictureRequest, Region,
-    Request, Scene, View,
+    Effort, FiberScene, FiberSceneOptions, Layer, Picture, PictureEffort, PictureRequest, Pictured,
+    Region, Request, Scene, View,
 };
 use goniofit::scatter::{self, Parameters};
 use goniofit::session::Configuration;

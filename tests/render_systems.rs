@@ -16,7 +16,7 @@ use goniofit::base::Unwatched;
 use goniofit::fabric::{FiberTile, Segment};
 use goniofit::render::{
     Effort, Estimate, FiberScene, FiberSceneOptions, Integrator, PictureEffort, PictureRequest,
-    Plate, RecordOptions, Request, Scene,
+    Pictured, Plate, RecordOptions, Request, Scene,
 };
 use goniofit::scatter::{self, CHANNELS, Model, Parameters, YARN_SYSTEMS, per_system};
 use goniofit::session::Configuration;

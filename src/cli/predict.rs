@@ -113,7 +113,11 @@ pub(super) fn scene_of(
         None => fit::surroundings_of(Path::new(&result.measurements), plate)?.0,
     };
     let fabric = fabric.unwrap_or(Path::new(&result.fabric));
-    render::scene(fabric, AnyModel::named(&result.model)?, surroundings)
+    Ok(render::scene(
+        fabric,
+        AnyModel::named(&result.model)?,
+        surroundings,
+    )?)
 }
 
 /// The pose's columns of `measurements.csv`.

@@ -9,10 +9,9 @@ use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
 use crate::render::{
     DEFAULT_DENSITY, Effort, Estimates, FiberScene, FiberSceneOptions, Integrator, LightShape,
-    Request, Scene, VolumeScene,
+    Pictured, Request, VolumeScene,
 };
 use crate::rig::{LightSource, RigDescription};
-use crate::scatter::media::MediumModel;
 use crate::scatter::{AnyModel, Parameters};
 use crate::session::{SessionFolder, files};
 use crate::{fabric, scatter::Model};
@@ -104,7 +103,7 @@ pub(crate) fn scene(
     fabric: &Path,
     model: AnyModel,
     options: FiberSceneOptions,
-) -> Result<Box<dyn Scene>> {
+) -> Result<Box<dyn Pictured>> {
     let model = match model {
         AnyModel::Fibers(model) => return Ok(Box::new(fiber_scene(fabric, model, options)?)),
         AnyModel::Medium(model) => model,
@@ -117,19 +116,11 @@ pub(crate) fn scene(
         ))
         .with_hint("for fibers: --model khungurn; for voxels: a description with kind = \"voxels\" (docs/fabric.md)"));
     }
-    Ok(Box::new(volume_scene(fabric, model, options)?))
-}
-
-/// Reads a fabric of voxels and makes it a scene for `model`.
-pub(crate) fn volume_scene(
-    fabric: &Path,
-    model: &'static dyn MediumModel,
-    options: FiberSceneOptions,
-) -> Result<VolumeScene> {
     let fabric = fabric::load_voxels(fabric)?;
     let density = fabric.density_per_mm.unwrap_or(DEFAULT_DENSITY);
-    VolumeScene::new(fabric.tile, density, model, options)
-        .context(|| format!("fabric '{}' cannot be rendered", fabric.name))
+    let scene = VolumeScene::new(fabric.tile, density, model, options)
+        .context(|| format!("fabric '{}' cannot be rendered", fabric.name))?;
+    Ok(Box::new(scene))
 }
 
 /// What a rig puts around the cloth.

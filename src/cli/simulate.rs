@@ -5,7 +5,7 @@ use super::render::{fiber_scene, surroundings};
 use super::{Outcome, inputs, terminal::Terminal};
 use crate::base::{Context, Error, Result};
 use crate::render::{
-    Effort, Estimate, FiberScene, Picture, PictureEffort, PictureRequest, Request, Scene,
+    Effort, Estimate, FiberScene, Picture, PictureEffort, PictureRequest, Pictured, Request, Scene,
 };
 use crate::rig::capture::{CaptureOptions, white_id};
 use crate::rig::simulated::capture_in_process;

@@ -5,13 +5,13 @@
 //! is taken out, every pixel stands for the same area of cloth, and the mean of a picture of the sample square is what
 //! [`super::Scene::estimate`] estimates. It does not show the outline that the cloth has for the camera.
 //!
-//! Poses that share their camera direction share paths, as in [`super::estimate`]; pixels never do.
+//! Poses that share their camera direction share paths, as in [`super::estimate`]; pixels never do. What is pictured is
+//! anything through which paths can be followed: fibers, or voxels.
 
 use super::allocation::{Group, groups, worth_of};
 use super::estimate::{CameraRay, Followed, Rules};
 use super::guide::Guide;
 use super::picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
-use super::scene::{FiberPaths, FiberScene};
 use super::summation::{Rows, Summation, Sums};
 use crate::base::{Error, Result, Watch};
 use crate::math::Random;
@@ -35,48 +35,9 @@ const AIM: f64 = 0.9;
 /// Names the random streams of pictures.
 const STREAM: u64 = 0x7049_6354;
 
-impl FiberScene {
-    /// The square over which means are taken.
-    pub fn sample_square(&self) -> Region {
-        Region {
-            center: [0.0; 2],
-            size: [self.options.sample_square; 2],
-        }
-    }
-
-    /// The tile that is repeated, from the origin on.
-    pub fn tile(&self) -> Region {
-        Region {
-            center: self.tile_size.map(|s| 0.5 * s),
-            size: self.tile_size,
-        }
-    }
-
-    /// Renders a picture of each configuration of the request, in its order; unbiased, and the same on any number of
-    /// threads. A configuration's noise depends on which others it shares camera paths with.
-    ///
-    /// # Errors
-    /// When the picture is empty or too large, the parameters have no meaning for the model, the work is too little for a
-    /// standard error, a pixel is not finite, or `watch` cancels.
-    pub fn pictures(
-        &self,
-        request: &PictureRequest<'_>,
-        watch: &dyn Watch,
-    ) -> Result<Vec<Picture>> {
-        request.check()?;
-        self.check_poses(request.configurations)?;
-        let sets = self.model.prepare_each(request.parameters)?;
-        let paths = FiberPaths {
-            scene: self,
-            sets: &sets,
-        };
-        pictures(&paths, Rows::of(self.model), request, watch)
-    }
-}
-
-/// The pictures of a request that was checked; `rows` are the derivatives of the scene's model.
-pub(super) fn pictures<F: Followed>(
-    followed: &F,
+/// See [`super::Pictured::pictures`]; derivatives have these `rows`.
+pub(super) fn pictures(
+    followed: &impl Followed,
     rows: Rows,
     request: &PictureRequest<'_>,
     watch: &dyn Watch,
@@ -102,7 +63,6 @@ pub(super) fn pictures<F: Followed>(
 /// The pictures that share camera paths.
 struct Canvas<'a, F> {
     followed: &'a F,
-    /// All derivatives of the scene's model.
     rows: Rows,
     request: &'a PictureRequest<'a>,
     group: &'a Group,
@@ -208,11 +168,10 @@ impl<F: Followed> Canvas<'_, F> {
         all.par_chunks_mut(numbers * per_task)
             .enumerate()
             .try_for_each(|(task, chunk)| {
-                let guide = Guide::FRESH;
                 let rules = Rules {
                     lamps: &self.group.lamps,
                     worth: pass.worth,
-                    guide: &guide,
+                    guide: &Guide::FRESH,
                 };
                 for (i, out) in chunk.chunks_mut(numbers).enumerate() {
                     self.pixel(pass, &rules, task * per_task + i, &strata, out, watch)?;
@@ -257,6 +216,7 @@ impl<F: Followed> Canvas<'_, F> {
             [] => Rows::NONE,
             _ => self.rows,
         };
+        let view = self.followed.options().view;
         let n_strata = strata.len() as u64;
         let mut random = Random::keyed(&self.key(pass, index));
         let mut path = Summation::new(all_rows, self.group.lamps.len());
@@ -272,7 +232,6 @@ impl<F: Followed> Canvas<'_, F> {
                     return Err(Error::new("interrupted"));
                 }
                 let through = self.point(pass.resolution, index, stratum, &mut random);
-                let view = self.followed.options().view;
                 let ray = CameraRay {
                     through,
                     toward_camera: view.toward_camera(through, self.group.toward_camera),

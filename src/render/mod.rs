@@ -22,7 +22,7 @@ mod volume;
 mod within;
 
 pub use light::LightShape;
-pub use picture::{Layer, Picture, PictureEffort, PictureRequest, Region};
+pub use picture::{Layer, Picture, PictureEffort, PictureRequest, Pictured, Region};
 pub use probe::RaySpeed;
 pub use record::{
     ConfigurationTrust, Recalled, RecordOptions, Recording, RecordingPair, TRUST_THRESHOLD, Trust,

@@ -1,7 +1,7 @@
 //! What a picture is: numbers per pixel of a part of the sample, with standard errors. [`super::image`] makes them.
 
-use super::{TAU, relative_error_weight};
-use crate::base::{Error, Result};
+use super::{Scene, TAU, relative_error_weight};
+use crate::base::{Error, Result, Watch};
 use crate::scatter::{CHANNELS, Parameters};
 use crate::session::Configuration;
 
@@ -15,6 +15,41 @@ pub struct Region {
     pub center: [f64; 2],
     /// Its sides along x and y, millimeters.
     pub size: [f64; 2],
+}
+
+impl Region {
+    /// A square around the origin.
+    pub(super) fn square(side: f64) -> Self {
+        Self {
+            center: [0.0; 2],
+            size: [side; 2],
+        }
+    }
+
+    /// A rectangle from the origin on.
+    pub(super) fn from_origin(size: [f64; 2]) -> Self {
+        Self {
+            center: size.map(|s| 0.5 * s),
+            size,
+        }
+    }
+}
+
+/// A scene that can also be seen pixel by pixel.
+pub trait Pictured: Scene {
+    /// The square over which means are taken.
+    fn sample_square(&self) -> Region;
+
+    /// The tile that is repeated, from the origin on.
+    fn tile(&self) -> Region;
+
+    /// Renders a picture of each configuration of the request, in its order; unbiased, and the same on any number of
+    /// threads. A configuration's noise depends on which others it shares camera paths with.
+    ///
+    /// # Errors
+    /// When the picture is empty or too large, the parameters have no meaning for the model, the work is too little for a
+    /// standard error, a pixel is not finite, or `watch` cancels.
+    fn pictures(&self, request: &PictureRequest<'_>, watch: &dyn Watch) -> Result<Vec<Picture>>;
 }
 
 /// How much work a picture may cost.

@@ -5,8 +5,9 @@ use super::geometry::{Ended, Geometry, Skip};
 use super::guide::{Guide, StateMap};
 use super::light::{Lamp, LightShape};
 use super::path::{Stage, Visitor};
+use super::picture::{Picture, PictureRequest, Pictured, Region};
 use super::summation::Rows;
-use super::{Estimates, RecordOptions, RecordedPaths, Request, Scene, basic, estimate};
+use super::{Estimates, RecordOptions, RecordedPaths, Request, Scene, basic, estimate, image};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::FiberTile;
 use crate::math::Random;
@@ -323,5 +324,26 @@ impl Scene for FiberScene {
             cpu_s: clock.cpu_s(),
             wall_s: clock.wall_s(),
         }))
+    }
+}
+
+impl Pictured for FiberScene {
+    fn sample_square(&self) -> Region {
+        Region::square(self.options.sample_square)
+    }
+
+    fn tile(&self) -> Region {
+        Region::from_origin(self.tile_size)
+    }
+
+    fn pictures(&self, request: &PictureRequest<'_>, watch: &dyn Watch) -> Result<Vec<Picture>> {
+        request.check()?;
+        self.check_poses(request.configurations)?;
+        let sets = self.model.prepare_each(request.parameters)?;
+        let paths = FiberPaths {
+            scene: self,
+            sets: &sets,
+        };
+        image::pictures(&paths, Rows::of(self.model), request, watch)
     }
 }

@@ -9,7 +9,7 @@ use crate::cli::render;
 use crate::fit::{
     Comparison, FitResult, FittedModel, Journal, JournalHeader, TAU, compare, predict,
 };
-use crate::render::{Effort, Plate, Scene};
+use crate::render::{Effort, Pictured, Plate};
 use crate::scatter::AnyModel;
 use crate::session::{Configuration, Measurements};
 use serde_json::{Value, json};
@@ -141,7 +141,7 @@ impl Fits {
 }
 
 /// The scene a model is fitted in.
-fn scene_of(measurements: &Path, who: &Contestant) -> Result<Box<dyn Scene>> {
+fn scene_of(measurements: &Path, who: &Contestant) -> Result<Box<dyn Pictured>> {
     let (surroundings, _) = surroundings_of(measurements, Plate::Black)?;
     render::scene(&who.fabric, AnyModel::named(who.model)?, surroundings)
 }

@@ -105,7 +105,6 @@ impl Pictures<'_> {
 
     fn pictures(&self, subject: &Subject, order: &Order<'_>) -> Result<Vec<Picture>> {
         let parameters = inputs::parameters(&subject.parameters, subject.model.parametric())?;
-        let options = self.surroundings;
         let request = |region: Region| {
             let longer = region.size[0].max(region.size[1]);
             let along = |s: f64| ((self.pixels as f64 * s / longer).round() as usize).max(1);
@@ -119,16 +118,8 @@ impl Pictures<'_> {
                 seed: self.seed,
             }
         };
-        match subject.model {
-            AnyModel::Fibers(model) => {
-                let scene = render::fiber_scene(&subject.fabric, model, options)?;
-                scene.pictures(&request(scene.tile()), order.terminal)
-            }
-            AnyModel::Medium(model) => {
-                let scene = render::volume_scene(&subject.fabric, model, options)?;
-                scene.pictures(&request(scene.tile()), order.terminal)
-            }
-        }
+        let scene = render::scene(&subject.fabric, subject.model, self.surroundings)?;
+        scene.pictures(&request(scene.tile()), order.terminal)
     }
 
     fn read(&self, folder: &Path, subjects: &[Subject]) -> Result<Vec<PosePictures>> {

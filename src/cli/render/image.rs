@@ -1,12 +1,12 @@
 //! `goniofit render image`: pictures of the cloth and of its derivatives.
 
-use super::fiber_scene;
 use super::image_files::{Derivative, Exposure, Output, Pictures};
+use super::scene;
 use super::subject::{Subject, find, length, numbers};
 use crate::base::{Error, Result};
 use crate::cli::output::data;
 use crate::cli::{Outcome, inputs, terminal::Terminal};
-use crate::render::{FiberScene, Integrator, PictureEffort, PictureRequest, Region};
+use crate::render::{Integrator, PictureEffort, PictureRequest, Pictured, Region};
 use crate::scatter::Parameters;
 use crate::session::{Configuration, files};
 use std::path::{Path, PathBuf};
@@ -102,12 +102,10 @@ impl Size {
 
 pub(super) fn run(a: &ImageArguments) -> Result<Outcome> {
     let begun = Instant::now();
-    let ready = a.subject.read(Integrator::Fast, |fabric, model, options| {
-        fiber_scene(fabric, model.of_fibers()?, options)
-    })?;
+    let ready = a.subject.read(Integrator::Fast, scene)?;
     let configurations = chosen(a, &ready.configurations)?;
     let (rows, derivatives) = wanted_derivatives(&a.derivative, &ready.parameters)?;
-    let region = region(a, &ready.scene);
+    let region = region(a, &*ready.scene);
     let outputs = Output::all(&a.out, &configurations, &derivatives);
     check_paths(&a.out, &outputs, a.force)?;
 
@@ -178,7 +176,7 @@ fn chosen(a: &ImageArguments, all: &[Configuration]) -> Result<Vec<Configuration
     ids.map(|id| find(all, id)).collect()
 }
 
-fn region(a: &ImageArguments, scene: &FiberScene) -> Region {
+fn region(a: &ImageArguments, scene: &dyn Pictured) -> Region {
     match a.crop {
         Some(size) => Region {
             center: a.center.unwrap_or_default(),

@@ -12,13 +12,16 @@ mod probe;
 
 use super::estimate::{self, Clock};
 use super::guide::StateMap;
+use super::image;
+use super::picture::{Picture, PictureRequest, Pictured, Region};
 use super::scene::{FiberSceneOptions, Integrator};
 use super::summation::Rows;
-use super::{Estimates, Picture, PictureRequest, Region, Request, Scene, image};
+use super::{Estimates, Request, Scene};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::VoxelTile;
 use crate::scatter::Parametric;
 use crate::scatter::media::MediumModel;
+use crate::session::Configuration;
 use grid::Grid;
 use path::VolumePaths;
 pub use probe::FlightSpeed;
@@ -33,11 +36,11 @@ pub struct VolumeScene {
     /// The tile itself, for the reference.
     tile: Option<VoxelTile>,
     map: StateMap,
-    tile_size: [f64; 2],
     model: &'static dyn MediumModel,
     /// Density n of a voxel of value 1, 1/mm.
     density: f64,
     options: FiberSceneOptions,
+    tile_size: [f64; 2],
 }
 
 impl std::fmt::Debug for VolumeScene {
@@ -70,39 +73,23 @@ impl VolumeScene {
         }
         let grid = Grid::new(&tile)?;
         let map = StateMap::new(tile.size(), grid.z_range(), |x, y| grid.surface(x, y));
+        let tile_size = tile.size();
         let keep = options.integrator == Integrator::Basic;
         Ok(Self {
             grid,
-            tile_size: tile.size(),
             tile: keep.then_some(tile),
             map,
             model,
             density,
             options,
+            tile_size,
         })
     }
 
-    /// The tile that is repeated, from the origin on.
-    pub fn tile(&self) -> Region {
-        Region {
-            center: self.tile_size.map(|s| 0.5 * s),
-            size: self.tile_size,
-        }
-    }
-
-    /// Renders a picture of each configuration, as [`super::FiberScene::pictures`] does of fibers.
-    ///
-    /// # Errors
-    /// As there.
-    pub fn pictures(
-        &self,
-        request: &PictureRequest<'_>,
-        watch: &dyn Watch,
-    ) -> Result<Vec<Picture>> {
-        request.check()?;
-        (self.options).check_poses(self.grid.z_range(), request.configurations)?;
-        let paths = VolumePaths::new(self, self.model.prepare(request.parameters)?);
-        image::pictures(&paths, Rows::of(self.model), request, watch)
+    /// Refuses poses whose light or camera stands inside the cloth.
+    fn check_poses(&self, configurations: &[Configuration]) -> Result<()> {
+        let z_range = self.grid.z_range();
+        self.options.check_poses(z_range, configurations)
     }
 }
 
@@ -113,8 +100,7 @@ impl Scene for VolumeScene {
 
     fn estimate(&self, request: &Request<'_>, watch: &dyn Watch) -> Result<Estimates> {
         request.check()?;
-        let z_range = self.grid.z_range();
-        self.options.check_poses(z_range, request.configurations)?;
+        self.check_poses(request.configurations)?;
         let clock = Clock::now();
         let medium = self.model.prepare(request.parameters)?;
         match &self.tile {
@@ -124,5 +110,23 @@ impl Scene for VolumeScene {
                 estimate::estimate(&paths, Rows::of(self.model), &clock, request, watch)
             }
         }
+    }
+}
+
+impl Pictured for VolumeScene {
+    fn sample_square(&self) -> Region {
+        Region::square(self.options.sample_square)
+    }
+
+    fn tile(&self) -> Region {
+        Region::from_origin(self.tile_size)
+    }
+
+    /// By the fast tracker, whatever the integrator of means.
+    fn pictures(&self, request: &PictureRequest<'_>, watch: &dyn Watch) -> Result<Vec<Picture>> {
+        request.check()?;
+        self.check_poses(request.configurations)?;
+        let paths = VolumePaths::new(self, self.model.prepare(request.parameters)?);
+        image::pictures(&paths, Rows::of(self.model), request, watch)
     }
 }
