@@ -31,7 +31,7 @@ const OWN_STYLE: &str = "\
 .k0{fill:var(--k0)}.k1{fill:var(--k1)}.k2{fill:var(--k2)}
 .four{display:grid;grid-template-columns:repeat(4,minmax(0,1fr));gap:6px;margin:.3em 0 1em}
 .four figcaption{font-size:.78rem;overflow-wrap:anywhere}
-td.words{white-space:normal;text-align:left;min-width:14em}
+td.words{white-space:normal;text-align:left;min-width:9em}
 ";
 
 /// The whole page.
