@@ -152,7 +152,7 @@ fn main() {
     }
     let mut runs = Vec::new();
     for case in &cases {
-        for method in Method::ALL {
+        for method in Method::GENERAL {
             if arguments
                 .value("--method")
                 .is_some_and(|m| m != method.name())

@@ -28,13 +28,14 @@ Examples:
   goniofit fit --measurements M.csv --fabric F.toml --per-system --start fit/fit.json --out warp_and_weft
   goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
   goniofit fit --measurements M.csv --fabric F.toml --bound c_r=0.04..1 --tau 0.05 --plate white --out velvet
+  goniofit fit --measurements M.csv --fabric voxels.toml --model microflake --method binary-search --out flakes
   goniofit fit --resume published
   goniofit fit --resume fit --time 10m
   goniofit fit --measurements M.csv --fabric F.toml --method adam --rates 0.2 --iterations 300 --time 10m --out adam
 
 Methods: gauss-newton; sgd, the search of Khungurn et al. 2015 (six learning rates a of 60 iterations each, in rescaled
-parameters; in full size --iteration-paths 8388608 --paths 6200000000); adam (Kingma and Ba 2015). The last two work off a
-fixed schedule: the limit shares out the paths of an iteration, unless --iteration-paths says how many.
+parameters; in full size --iteration-paths 8388608 --paths 6200000000); adam (Kingma and Ba 2015); binary-search, the published
+27 renders for --model microflake (docs/fit.md). The last three work off a fixed schedule: the limit shares out the paths of an iteration, unless --iteration-paths says how many.
 
 --bound keeps a parameter (docs/models.md: c_r, or one channel, c_r.g; angles in degrees) inside narrower bounds than the
 model's own; several hold together. Intervals, verdicts, fit.json and refits keep to them.
@@ -78,7 +79,7 @@ pub(crate) struct Asked {
     /// Parameters of their own for warp and weft: the model called <MODEL>-per-system
     #[arg(long)]
     pub(crate) per_system: bool,
-    /// How to search: gauss-newton, sgd or adam
+    /// How to search: gauss-newton, sgd, adam, or binary-search (microflakes)
     #[arg(long, default_value = METHOD)]
     pub(crate) method: String,
     /// Selects the random streams

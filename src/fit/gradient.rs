@@ -203,6 +203,20 @@ impl<'a> Walk<'a> {
     /// Writes down the iteration that this pair at `u` was rendered for. Its step moves each coordinate by minus `gain`
     /// times the derivative of the objective.
     pub(super) fn record(&mut self, u: &[f64], pair: &RenderPair, gain: &[f64]) {
+        let mut gains = Matrix::zeros(gain.len(), gain.len());
+        for (j, gain) in gain.iter().enumerate() {
+            // The model's gradient is that of half the objective.
+            gains[(j, j)] = 2.0 * gain;
+        }
+        self.write_down(u, pair, Some(gains));
+    }
+
+    /// The same for a search without gradients; its Monte Carlo part is that of what this pair alone would find.
+    pub(super) fn record_search(&mut self, u: &[f64], pair: &RenderPair) {
+        self.write_down(u, pair, None);
+    }
+
+    fn write_down(&mut self, u: &[f64], pair: &RenderPair, gains: Option<Matrix>) {
         let (space, objective) = (self.problem.space, self.problem.objective);
         let parameters = space.to_parameters(u);
         let value = objective.paired(pair);
@@ -210,11 +224,9 @@ impl<'a> Walk<'a> {
         let mut pool = Pool::new(objective);
         pool.push(space, u, &parameters, objective, pair);
         let model = pool.model();
-        let mut gains = Matrix::zeros(gain.len(), gain.len());
-        for (j, gain) in gain.iter().enumerate() {
-            // The model's gradient is that of half the objective.
-            gains[(j, j)] = 2.0 * gain;
-        }
+        let gains = gains
+            .or_else(|| inverse(&model.damped_curvature(REACH)))
+            .unwrap_or_else(|| Matrix::zeros(u.len(), u.len()));
         self.history.push(Iteration {
             paths: self.iteration_paths,
             total_paths: self.spent.paths,

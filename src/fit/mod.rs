@@ -4,6 +4,7 @@
 //! what is unbiased and what only consistent, is in docs/fit.md.
 
 mod adam;
+mod binary;
 mod bounds;
 mod certainty;
 mod check;
@@ -172,6 +173,7 @@ fn searched(
         }
         Method::Sgd => published::search(problem, u, spent, watch),
         Method::Adam => adam::search(problem, u, spent, watch),
+        Method::BinarySearch => binary::search(problem, u, spent, watch),
     };
     match (ended, earlier) {
         (Err(_), Some(mut found)) if watch.cancelled() => {

@@ -18,11 +18,16 @@ pub enum Method {
     Sgd,
     /// Adam (Kingma and Ba 2015) on the same gradients.
     Adam,
+    /// The published binary searches for microflakes (Zhao 2011 sec. 7.1, Khungurn 2015 sec. 7.1): docs/fit.md.
+    BinarySearch,
 }
 
 impl Method {
     /// All methods, the default first.
-    pub const ALL: [Self; 3] = [Self::GaussNewton, Self::Sgd, Self::Adam];
+    pub const ALL: [Self; 4] = [Self::GaussNewton, Self::Sgd, Self::Adam, Self::BinarySearch];
+
+    /// Those that fit any model; [`Method::BinarySearch`] wants microflakes.
+    pub const GENERAL: [Self; 3] = [Self::GaussNewton, Self::Sgd, Self::Adam];
 
     /// The name on the command line and in files.
     pub fn name(self) -> &'static str {
@@ -30,6 +35,7 @@ impl Method {
             Self::GaussNewton => "gauss-newton",
             Self::Sgd => "sgd",
             Self::Adam => "adam",
+            Self::BinarySearch => "binary-search",
         }
     }
 
@@ -76,7 +82,7 @@ pub struct Options {
     /// Configurations darker than this get no more weight: [`TAU`] (Khungurn 2015 eq. 20).
     pub tau: f64,
     /// Relative standard deviation of a gain common to all measurements, which is then one more unknown; exact scale when
-    /// none. Not for [`Method::Sgd`].
+    /// none. Not for [`Method::Sgd`] and [`Method::BinarySearch`].
     pub gain_prior: Option<f64>,
     /// Where to begin; the model's published defaults when none.
     pub start: Option<Parameters>,
@@ -84,7 +90,7 @@ pub struct Options {
     pub bounds: Bounds,
     /// A weighted rms residual significantly above this fraction is reported as a model that does not explain the data.
     pub tolerance: f64,
-    /// Camera paths of one iteration of [`Method::Sgd`] or [`Method::Adam`], both renders together. When none, what the
+    /// Camera paths of one iteration of any method but [`Method::GaussNewton`], both renders together. When none, what the
     /// budget's paths or time allow so that all iterations fit; the published 8.4 million when neither is limited.
     pub iteration_paths: Option<u64>,
     /// How [`Method::Sgd`] works.
@@ -151,11 +157,19 @@ impl Options {
             return Err(Error::new("the published descent has no gain")
                 .with_hint("fit a gain with --method gauss-newton or adam"));
         }
+        if self.method == Method::BinarySearch
+            && (self.gain_prior.is_some() || self.loss != Loss::Squared)
+        {
+            return Err(Error::new(
+                "the binary search has neither a gain nor another loss than squared",
+            )
+            .with_hint("use them with --method gauss-newton or adam"));
+        }
         if self.iteration_paths == Some(0) {
             return Err(Error::new("an iteration needs at least one path"));
         }
         match self.method {
-            Method::GaussNewton => Ok(()),
+            Method::GaussNewton | Method::BinarySearch => Ok(()),
             Method::Sgd => self.sgd.check(),
             Method::Adam => self.adam.check(),
         }

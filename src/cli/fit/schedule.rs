@@ -4,7 +4,7 @@ use super::SEED;
 use crate::base::{Error, Result};
 use crate::fit::{Budget, Method, Options};
 
-const SCHEDULE: &str = "Schedule (sgd and adam)";
+const SCHEDULE: &str = "Schedule (sgd, adam and binary-search)";
 
 /// What only the methods with a fixed schedule are asked.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -40,6 +40,13 @@ impl Schedule {
                 return Err(
                     Error::new("gauss-newton has no schedule of iterations and rates").with_hint(
                         "--iteration-paths, --iterations and --rates go with --method sgd or adam",
+                    ),
+                );
+            }
+            (Method::BinarySearch, _) if asked => {
+                return Err(
+                    Error::new("binary-search has no iterations and rates to choose").with_hint(
+                        "--iterations and --rates go with --method sgd or adam; its renders are 27",
                     ),
                 );
             }
