@@ -9,6 +9,7 @@ mod convergence;
 pub mod cut;
 pub mod diverging;
 mod html;
+mod ladder;
 pub mod linear_picture;
 pub mod measurement;
 mod page;
@@ -20,5 +21,6 @@ mod svg;
 pub mod swatch;
 
 pub use convergence::{Course, CoursePoint, convergence_chart};
+pub use ladder::{ladder_page, ladder_table};
 pub use page::{Picture, Provenance, Section, Table, page};
 pub use prediction::prediction_chart;
