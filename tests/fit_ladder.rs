@@ -1,6 +1,6 @@
 //! Promise: the ladder takes no richer model than the numbers need, says when they cannot tell, and when no model is good enough.
 //!
-//! `SESSIONS=N` overrides how many sessions the slow test makes of each rung, `SEED=` the streams.
+//! `SESSIONS=N` overrides how many sessions are made of each rung, `SEED=` the streams.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 #[path = "common/woven.rs"]
@@ -202,6 +202,11 @@ fn shares(noise: f64, n: u64, steep: bool, rule: &dyn Rule) -> (f64, f64) {
     (good as f64 / all, firm as f64 / all)
 }
 
+/// How many sessions to make of each rung.
+fn sessions(usual: u64) -> u64 {
+    std::env::var("SESSIONS").map_or(usual, |n| n.parse().expect("SESSIONS is a count"))
+}
+
 /// A rule for the control: always the best fit.
 struct Greedy;
 
@@ -227,7 +232,7 @@ impl Rule for Greedy {
 #[test]
 fn the_rung_that_made_the_numbers_is_chosen_or_a_simpler_one_as_good() {
     println!("| noise | truth | true rung | simpler, as good | too simple | too rich | firm |");
-    let (good, firm) = shares(0.01, 20, true, &Sparing);
+    let (good, firm) = shares(0.01, sessions(20), true, &Sparing);
     println!("{good:.2} right, {firm:.2} firm");
     assert!(good >= 0.9, "{good}");
     let key = 777;
@@ -239,7 +244,7 @@ fn the_rung_that_made_the_numbers_is_chosen_or_a_simpler_one_as_good() {
 #[test]
 #[ignore = "slow: 10 min"]
 fn shares_of_choices_at_three_noises() {
-    let n = std::env::var("SESSIONS").map_or(100, |n| n.parse().unwrap());
+    let n = sessions(100);
     println!("| noise | truth | true rung | simpler, as good | too simple | too rich | firm |");
     for noise in [0.01, 0.05, 0.1] {
         let (good, firm) = shares(noise, n, true, &Sparing);
