@@ -1,5 +1,6 @@
 //! `goniofit fit`.
 
+mod ladder;
 pub(crate) mod resume;
 mod schedule;
 
@@ -29,6 +30,7 @@ Examples:
   goniofit fit --measurements M.csv --fabric F.toml --method sgd --paths 50000000 --out published
   goniofit fit --measurements M.csv --fabric F.toml --bound c_r=0.04..1 --tau 0.05 --plate white --out velvet
   goniofit fit --measurements M.csv --fabric voxels.toml --model microflake --method binary-search --out flakes
+  goniofit fit --measurements M.csv --fabric F.toml --model auto --tolerance 3% --out ladder
   goniofit fit --resume published
   goniofit fit --resume fit --time 10m
   goniofit fit --measurements M.csv --fabric F.toml --method adam --rates 0.2 --iterations 300 --time 10m --out adam
@@ -36,6 +38,11 @@ Examples:
 Methods: gauss-newton; sgd, the search of Khungurn et al. 2015 (six learning rates a of 60 iterations each, in rescaled
 parameters; in full size --iteration-paths 8388608 --paths 6200000000); adam (Kingma and Ba 2015); binary-search, the published
 27 renders for --model microflake (docs/fit.md). The last three work off a fixed schedule: the limit shares out the paths of an iteration, unless --iteration-paths says how many.
+
+--model auto takes no more model than the measurements need (docs/ladder.md): Lambert, GGX, woven BRDFs, and only when none of
+them is good enough path-traced ones, each with the limits given. Good enough is what reaches the noise or --tolerance (or
+--accuracy, where that is smaller). It writes ladder.json, ladder.html and a folder per path-traced model; exit code 1 when no
+model is good enough. --model lambert, ggx, woven-9, woven-11 or woven-19 tries that one alone.
 
 --bound keeps a parameter (docs/models.md: c_r, or one channel, c_r.g; angles in degrees) inside narrower bounds than the
 model's own; several hold together. Intervals, verdicts, fit.json and refits keep to them.
@@ -59,9 +66,11 @@ pub(crate) struct Arguments {
     /// Replace an earlier fit in --out
     #[arg(long)]
     force: bool,
-    /// Print fit.json instead of a table
+    /// Print fit.json (--model auto: ladder.json) instead of a table
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    ladder: ladder::LadderArguments,
 }
 
 /// A fit as it is asked for, on a command line or in a list of work.
@@ -73,7 +82,7 @@ pub(crate) struct Asked {
     /// Fabric: description (TOML), fibers (.csv) or voxels (.nrrd)
     #[arg(long, value_name = "F")]
     pub(crate) fabric: PathBuf,
-    /// Scattering model
+    /// Scattering model; auto: the simplest that the measurements need
     #[arg(long, default_value = MODEL)]
     pub(crate) model: String,
     /// Parameters of their own for warp and weft: the model called <MODEL>-per-system
@@ -346,6 +355,12 @@ pub(crate) fn write(result: &FitResult, folder: &Path, force: bool) -> Result<()
 
 pub(crate) fn run(a: Arguments) -> Result<Outcome> {
     let terminal = Terminal::new()?;
+    if let (What::New(asked), Some(out)) = (&a.what, &a.out)
+        && ladder::is_meant(&asked.model)
+    {
+        return ladder::run(asked, out, &a, &terminal);
+    }
+    a.ladder.refuse()?;
     let begun = match (a.what, a.out) {
         (What::Resume(again), _) => Begun::again(again, &terminal)?,
         (What::New(asked), out) => Begun::new(*asked, out.unwrap_or_default(), a.force)?,

@@ -1,6 +1,6 @@
 //! `goniofit woven`: cloth as a surface of yarn segments: models and published fabrics, pictures, fits.
 
-mod cloth;
+pub(super) mod cloth;
 mod fit;
 mod picture;
 

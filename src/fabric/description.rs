@@ -141,6 +141,15 @@ pub fn fiber_file(path: &Path) -> Option<PathBuf> {
     Some(folder.join(table.get("fibers")?.as_str()?))
 }
 
+/// The weave of a woven description with the distances of its warp and of its weft yarns, millimeters; none where a file describes
+/// no weave or cannot be read.
+pub fn weave_of(path: &Path) -> Option<(Draft, [f64; 2])> {
+    let file: WovenFile = parse(&std::fs::read_to_string(path).ok()?).ok()?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let pitches = [file.warp.pitch_mm, file.weft.pitch_mm];
+    Some((file.weave.draft(folder).ok()?, pitches))
+}
+
 /// Makes the fabric a description says; a fiber file it names is looked for in `folder`.
 fn read(text: &str, folder: &Path) -> Result<Fabric> {
     let table: toml::Table = parse(text)?;
@@ -201,10 +210,9 @@ fn read_wif(path: &Path) -> Result<Draft> {
     Draft::from_wif(&String::from_utf8_lossy(&bytes)).context(|| format!("{}", path.display()))
 }
 
-impl WovenFile {
-    fn check(&self, folder: &Path) -> Result<Woven> {
-        let weave = &self.weave;
-        let draft = match (&weave.pattern, &weave.draft, &weave.wif) {
+impl WeaveFile {
+    fn draft(&self, folder: &Path) -> Result<Draft> {
+        match (&self.pattern, &self.draft, &self.wif) {
             (Some(name), None, None) => Draft::named(name),
             (None, Some(rows), None) => Draft::from_rows(rows),
             (None, None, Some(path)) => read_wif(&folder.join(path)),
@@ -214,7 +222,14 @@ impl WovenFile {
                 ),
             ),
         }
-        .context(|| "[weave]")?;
+        .context(|| "[weave]")
+    }
+}
+
+impl WovenFile {
+    fn check(&self, folder: &Path) -> Result<Woven> {
+        let weave = &self.weave;
+        let draft = weave.draft(folder)?;
         if weave.repeats.contains(&0) {
             return Err(
                 Error::new("[weave] repeats: expected two counts of at least 1")

@@ -28,7 +28,7 @@ mod yarn;
 pub use centerline::{CenterLine, Jet, L_MAX, L_MIN, float_profile};
 pub use curves::{Curve, curves, from_curves};
 pub use describe::{FabricReport, SystemReport};
-pub use description::{fiber_file, load};
+pub use description::{fiber_file, load, weave_of};
 pub use visible::VisibleSegment;
 pub use voxel_fabric::{VoxelFabric, load_voxels, voxel_file};
 pub use voxels::{PackedDirection, VoxelTile};

@@ -243,7 +243,7 @@ fn shared(camera: &[usize], pair: &RenderPair) -> [f64; 2] {
 
 /// Probability that a chi-square number of so many degrees of freedom exceeds `x`, by the cube root's nearly normal
 /// distribution (Wilson and Hilferty 1931): off by less than 0.0135 over the degrees of freedom, from five on.
-fn chi_square_above(x: f64, freedom: f64) -> f64 {
+pub(super) fn chi_square_above(x: f64, freedom: f64) -> f64 {
     let variance = 2.0 / (9.0 * freedom);
     normal_above(((x / freedom).cbrt() - 1.0 + variance) / variance.sqrt())
 }

@@ -14,6 +14,7 @@ mod goodness;
 mod gradient;
 mod information;
 mod journal;
+pub mod ladder;
 mod linear;
 mod objective;
 mod options;

@@ -10,6 +10,7 @@ mod convergence;
 pub mod cut;
 pub mod diverging;
 mod html;
+mod ladder;
 pub mod linear_picture;
 pub mod measurement;
 mod page;
@@ -22,5 +23,6 @@ pub mod swatch;
 
 pub use comparison::{ComparisonNotes, PosePictures, comparison_page};
 pub use convergence::{Course, CoursePoint, convergence_chart};
+pub use ladder::{ladder_page, ladder_table};
 pub use page::{Picture, Provenance, Section, Table, page};
 pub use prediction::prediction_chart;

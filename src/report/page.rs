@@ -379,7 +379,7 @@ fn correlation_table(result: &FitResult) -> String {
     html + "</table></div>\n<p class=\"soft\">Near 1 or −1 only a combination of the two is known.</p>\n"
 }
 
-fn extra(section: &Section) -> String {
+pub(super) fn extra(section: &Section) -> String {
     let mut html = String::new();
     for text in &section.paragraphs {
         html += &format!("<p>{}</p>\n", escape(text));

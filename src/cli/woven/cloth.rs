@@ -81,7 +81,7 @@ impl Cloth {
 }
 
 /// The visible segments of a draft: each as wide as the distance of its yarns, and as long as the crossings it covers.
-fn segments(draft: &Draft, [warp, weft]: [f64; 2]) -> Repeat {
+pub(in crate::cli) fn segments(draft: &Draft, [warp, weft]: [f64; 2]) -> Repeat {
     let place = |s: crate::fabric::VisibleSegment| Placed {
         system: s.system,
         center: [s.center[0] * warp, s.center[1] * weft],

@@ -9,6 +9,7 @@ mod looks;
 mod problem;
 mod search;
 
+pub(super) use problem::{distinct, geometry};
 pub use search::{SurfaceInterval, SurfaceOptions, SurfaceResult, SurfaceRival, fit_surface};
 
 use crate::base::Result;

@@ -5,7 +5,7 @@ use crate::fit::TAU;
 use crate::fit::linear::{Matrix, box_quadratic};
 use crate::scatter::surface::SurfaceModel;
 use crate::scatter::{CHANNELS, Parameters};
-use crate::session::Measurements;
+use crate::session::{Configuration, Measurements};
 use glam::DVec3;
 use std::f64::consts::PI;
 
@@ -266,18 +266,23 @@ fn samples(measurements: &Measurements) -> Vec<Sample> {
     measurements.intensities.iter().map(sample).collect()
 }
 
-/// Numbers at distinct geometries: polar angles of light and camera, exchanged or not, and the angle between their azimuths.
-/// Turned samples show the same geometry again, and count once.
-fn distinct(measurements: &Measurements) -> usize {
+/// What an isotropic sample would see of a pose: polar angles of light and camera, exchanged or not, and the angle between their
+/// azimuths, in steps of 1e-5.
+pub(in crate::fit) fn geometry(configuration: &Configuration) -> [i64; 3] {
+    let (light, camera) = (configuration.light, configuration.camera);
+    let grid = |angle: f64| (angle * 1e5).round() as i64;
+    let low = light.theta.min(camera.theta);
+    let high = light.theta.max(camera.theta);
+    let between = (light.phi - camera.phi).rem_euclid(2.0 * PI);
+    [grid(low), grid(high), grid(between.min(2.0 * PI - between))]
+}
+
+/// Numbers at distinct geometries. Turned samples show the same geometry again, and count once.
+pub(in crate::fit) fn distinct(measurements: &Measurements) -> usize {
     let mut seen: Vec<[i64; 3]> = Vec::new();
     let mut n = 0;
     for i in &measurements.intensities {
-        let (light, camera) = (i.configuration.light, i.configuration.camera);
-        let grid = |angle: f64| (angle * 1e5).round() as i64;
-        let low = light.theta.min(camera.theta);
-        let high = light.theta.max(camera.theta);
-        let between = (light.phi - camera.phi).rem_euclid(2.0 * PI);
-        let key = [grid(low), grid(high), grid(between.min(2.0 * PI - between))];
+        let key = geometry(&i.configuration);
         if !seen.contains(&key) {
             seen.push(key);
             n += i.present.iter().filter(|p| **p).count();
