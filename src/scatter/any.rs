@@ -57,19 +57,4 @@ impl AnyModel {
             ))),
         }
     }
-
-    /// The model of fibers it is.
-    ///
-    /// # Errors
-    /// When it is one of media.
-    pub fn of_fibers(self) -> Result<&'static dyn Model> {
-        match self {
-            Self::Fibers(model) => Ok(model),
-            Self::Medium(model) => Err(Error::new(format!(
-                "model {} is one of volumes, expected one of fibers",
-                model.name()
-            ))
-            .with_hint("as khungurn")),
-        }
-    }
 }
