@@ -12,9 +12,10 @@ mod probe;
 
 use super::estimate::{self, Clock};
 use super::guide::StateMap;
+use super::image::pictures;
 use super::scene::{FiberSceneOptions, Integrator};
 use super::summation::Rows;
-use super::{Estimates, Picture, PictureRequest, Region, Request, Scene, image};
+use super::{Estimates, Picture, PictureRequest, Region, Request, Scene};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::VoxelTile;
 use crate::scatter::Parametric;
@@ -102,7 +103,7 @@ impl VolumeScene {
         request.check()?;
         (self.options).check_poses(self.grid.z_range(), request.configurations)?;
         let paths = VolumePaths::new(self, self.model.prepare(request.parameters)?);
-        image::pictures(&paths, Rows::of(self.model), request, watch)
+        pictures(&paths, Rows::of(self.model), request, watch)
     }
 }
 
