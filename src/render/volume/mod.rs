@@ -12,7 +12,7 @@ mod probe;
 
 use super::estimate::{self, Clock};
 use super::guide::StateMap;
-use super::image;
+use super::image::pictures;
 use super::picture::{Picture, PictureRequest, Pictured, Region};
 use super::scene::{FiberSceneOptions, Integrator};
 use super::summation::Rows;
@@ -127,6 +127,6 @@ impl Pictured for VolumeScene {
         request.check()?;
         self.check_poses(request.configurations)?;
         let paths = VolumePaths::new(self, self.model.prepare(request.parameters)?);
-        image::pictures(&paths, Rows::of(self.model), request, watch)
+        pictures(&paths, Rows::of(self.model), request, watch)
     }
 }
