@@ -82,6 +82,13 @@ pub struct Evidence {
     pub seconds: f64,
 }
 
+impl Evidence {
+    /// The residual and its standard error: what renders leave unknown counts against a model.
+    pub fn at_most(&self) -> f64 {
+        self.residual + self.residual_se
+    }
+}
+
 /// A rung of a ladder that was climbed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Step {
@@ -206,7 +213,7 @@ fn tried_or_not(
     let begun = Instant::now();
     match rung.climb(facts, tried, watch) {
         Ok(evidence) => Ok(Ok(Evidence {
-            criterion: facts.criterion(evidence.residual, evidence.free),
+            criterion: facts.criterion(evidence.at_most(), evidence.free),
             seconds: begun.elapsed().as_secs_f64(),
             ..evidence
         })),

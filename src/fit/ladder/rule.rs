@@ -82,11 +82,11 @@ impl Rule for Sparing {
         let best = &tried.get(Self::best(tried))?;
         if let Some(there) = tried
             .iter()
-            .find(|e| facts.reaches_noise(e.residual, e.free))
+            .find(|e| facts.reaches_noise(e.at_most(), e.free))
         {
             return Some(format!("{} reaches the noise", there.model));
         }
-        if rung.traced() && best.residual <= facts.tolerance {
+        if rung.traced() && best.at_most() <= facts.tolerance {
             let percent = 100.0 * facts.tolerance;
             return Some(format!("{} is within {percent:.1} %", best.model));
         }
@@ -117,10 +117,10 @@ impl Rule for Sparing {
             .collect();
         let vetoed = (chosen != first).then(|| tried[first].model.clone());
         let doubts = doubts(facts, e, banned, &not_separable, vetoed.as_deref());
-        let reaches_noise = facts.reaches_noise(e.residual, e.free);
+        let reaches_noise = facts.reaches_noise(e.at_most(), e.free);
         Choice {
             model: e.model.clone(),
-            adequate: reaches_noise || e.residual <= facts.tolerance,
+            adequate: reaches_noise || e.at_most() <= facts.tolerance,
             reaches_noise,
             not_separable,
             vetoed,

@@ -36,6 +36,13 @@ fn advice(facts: &Facts<'_>, steps: &[Step], choice: &Choice, chosen: &Evidence)
     let model = &choice.model;
     let untried = steps.iter().find(|s| s.traced && s.evidence.is_none());
     if !choice.adequate {
+        if chosen.residual <= facts.tolerance {
+            return format!(
+                "{model} may be good enough, but its renders leave {} unknown by {}: give more --paths or --time.",
+                percent(chosen.residual),
+                percent(chosen.residual_se)
+            );
+        }
         let next = match untried {
             Some(s) => format!("try --model {}", s.model),
             None => "doubt the measurements or the cloth's description before any number here"
