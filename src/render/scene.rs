@@ -3,11 +3,12 @@
 use super::estimate::{CameraRay, Clock, Followed, Rules};
 use super::geometry::{Ended, Geometry, Skip};
 use super::guide::{Guide, StateMap};
+use super::image::pictures;
 use super::light::{Lamp, LightShape};
 use super::path::{Stage, Visitor};
 use super::picture::{Picture, PictureRequest, Pictured, Region};
 use super::summation::Rows;
-use super::{Estimates, RecordOptions, RecordedPaths, Request, Scene, basic, estimate, image};
+use super::{Estimates, RecordOptions, RecordedPaths, Request, Scene, basic, estimate};
 use crate::base::{Error, Result, Watch};
 use crate::fabric::FiberTile;
 use crate::math::Random;
@@ -344,6 +345,6 @@ impl Pictured for FiberScene {
             scene: self,
             sets: &sets,
         };
-        image::pictures(&paths, Rows::of(self.model), request, watch)
+        pictures(&paths, Rows::of(self.model), request, watch)
     }
 }
